@@ -1,0 +1,43 @@
+"""A napari session without a window: open, estimate, segment, keep the layers."""
+
+import numpy as np
+from napari.components import ViewerModel
+from npe2 import PluginManager
+
+from napari_defocus import estimate_candidates, label_blur_map, segment_in_focus
+from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.layers import (
+    blur_map_layer,
+    in_focus_layer,
+    show_results,
+    shown_plane,
+)
+
+
+def main():
+    PluginManager.instance().discover()  # napari.Viewer does this by itself
+    viewer = ViewerModel()
+    _, picture = viewer.open_sample("napari-defocus", "ramp")
+    picture.scale, picture.units = (0.65, 0.65), ("um", "um")
+
+    plane = shown_plane(picture, viewer.dims)
+    image = plane.read()
+    candidates = estimate_candidates(image)
+    blur_map = label_blur_map(candidates, image)
+    mask = segment_in_focus(candidates, image)
+
+    variance = candidates.noise_variance
+    results = [
+        blur_map_layer(plane, blur_map, MapSettings(), variance),
+        in_focus_layer(plane, mask, MaskSettings(), MapSettings(), variance),
+    ]
+    for layer in show_results(viewer, results):
+        print(f"{layer.name}: {layer.data.shape}, scale {layer.scale}, {layer.units}")
+    print(f"noise variance {variance:.1e}")
+    print(f"blur radius {np.percentile(blur_map, [5, 50, 95]).round(2)} px (5, 50, 95 %)")
+    print(f"in focus {mask.mean():.0%} of the picture")
+    return viewer
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,374 @@
+"""The candidate scales of every analysed window: local maxima of the likelihood, (9)-(13)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter
+
+from napari_defocus.gabor import MIN_WINDOW, gradients, local_power, window_centers, within_picture
+from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood, refine_maxima
+from napari_defocus.noise import evidence_noise_variance
+from napari_defocus.progress import Progress, silent
+from napari_defocus.psf import Disc, PSFFamily
+from napari_defocus.settings import MapSettings, Mode, Spectra
+from napari_defocus.spectrum import LABEL_STEP, SpectrumTable, label_scales, spectrum_table
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+
+CANDIDATES = 3
+_WINDOWS_A_BLOCK = 4096
+_LEAST_OPAQUE = 0.05
+_INDISTINCT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class BlurCandidates:
+    """What the windows of one picture say about the blur, and what made it.
+
+    R x C windows lie `stride` px apart; one stands for the pixels around its centre.
+
+    Attributes
+    ----------
+    radii : (R, C, 3) float32 ndarray
+        Scales of the best local maxima of the likelihood, best first, in px, in the
+        continuous domain; NaN where there are fewer. With `Disc`, one that cannot be told
+        from a point (radius up to 0.5 px) is given as 0.25 px.
+    log_likelihoods : (R, C, 3) float32 ndarray
+        log p of (9) at those scales, both gradients added; in the mode "curve" each divided by
+        its dispersion. -inf where there are fewer.
+    curve : (R, C, L) float32 ndarray
+        log p(r) at `scales`.
+    scales : (L,) float64 ndarray
+        0, 0.1, ... px over the domain of the PSF family.
+    row_centers, column_centers : (R,) and (C,) float64 ndarray
+        Where the windows stand, in px; may be half-way between pixels.
+    image_shape : (int, int)
+        Height and width of the picture, in px.
+    psf : PSFFamily
+    noise_variance : float
+        Of the luminance, intensities in [0, 1]; given or found.
+    window, stride : int
+        N and the distance between windows, in px.
+    """
+
+    radii: Float32
+    log_likelihoods: Float32
+    curve: Float32
+    scales: Float64
+    row_centers: Float64
+    column_centers: Float64
+    image_shape: tuple[int, int]
+    psf: PSFFamily
+    noise_variance: float
+    window: int
+    stride: int
+
+    def log_likelihood_at(self, row: float, column: float) -> tuple[Float64, Float64]:
+        """Return the likelihood curve at one pixel (the paper's Fig. 6).
+
+        Parameters
+        ----------
+        row, column : float
+            A place in the picture, in px.
+
+        Returns
+        -------
+        scales : (L,) float64 ndarray
+            In px.
+        log_likelihood : (L,) float64 ndarray
+            log p(r) of (9) of the window nearest to that place.
+
+        Raises
+        ------
+        ValueError
+            If the place is outside the picture.
+        """
+        height, width = self.image_shape
+        if not (0 <= row <= height - 1 and 0 <= column <= width - 1):
+            raise ValueError(
+                f"(row, column) is ({row}, {column}); it takes a place in the picture of "
+                f"{height} x {width} px"
+            )
+        i = int(np.argmin(np.abs(self.row_centers - row)))
+        j = int(np.argmin(np.abs(self.column_centers - column)))
+        return self.scales, self.curve[i, j].astype(np.float64)
+
+
+def estimate_candidates(
+    image: ArrayLike,
+    *,
+    psf: PSFFamily = Disc(),
+    noise_variance: float | None = MapSettings.noise_variance,
+    window: int = MapSettings.window,
+    stride: int = MapSettings.stride,
+    mode: Mode = MapSettings.mode,
+    spectra: Spectra = "exact",
+    intensity_range: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> BlurCandidates:
+    """Estimate which blur scales are likely around every place of a picture.
+
+    Sections II and III-A of [1]_: Gabor filters give the local power spectra of both gradients
+    of the luminance (4); under white Gaussian gradients of unknown variance s behind a PSF of
+    scale r, and white noise, each power is exponentially distributed (5); the profile
+    likelihood (9) is evaluated on a lattice of scales, s by the fixed point (11), and its
+    local maxima are refined in the continuous domain by Newton steps on look-up tables.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        Any real dtype; integers are scaled by their dtype's range, floats are taken as
+        [0, 1]. A fourth channel is opacity: fully transparent pixels carry no evidence.
+    psf : PSFFamily, optional
+        The family of PSFs; a disc of up to 8 px by default.
+    noise_variance : float, optional
+        Variance of the noise in the luminance, intensities in [0, 1]. By default it is found
+        from the picture, see `estimate_noise_variance`.
+    window : int, optional
+        Side N of the analysis window in px, odd, at least 17.
+    stride : int, optional
+        Distance between analysed windows in px. The powers are band-limited by their window:
+        4 loses nothing; 1 is the reference.
+    mode : {"curve", "paper"}, optional
+        "paper" is the likelihood (5) as it stands. "curve" divides each gradient's logarithm
+        of it by the dispersion, which limits what windows say that the model does not fit.
+    spectra : {"exact", "fitted"}, optional
+        Blur spectra (6) tabulated from the family at every scale, or as the fit (12).
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    BlurCandidates
+
+    Raises
+    ------
+    TypeError
+        If `image` has no real dtype.
+    ValueError
+        If `image` has another shape, a side below 3 px, NaN or infinite values; if
+        `noise_variance` is negative, `window` is no odd number from 17 up, `stride` is not
+        within 1 to `window`, or twice the family's largest scale exceeds `window`.
+
+    References
+    ----------
+    .. [1] X. Zhu, S. Cohen, S. Schiller, P. Milanfar, "Estimating Spatially Varying Defocus
+       Blur from A Single Image", IEEE Transactions on Image Processing 22(12), 2013.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_candidates, simulate_defocus
+    >>> blurred = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> candidates = estimate_candidates(blurred)
+    >>> float(np.median(candidates.radii[..., 0]).round())
+    3.0
+    """
+    _check_settings(psf, noise_variance, window, stride, mode, spectra)
+    picture = prepare_image(image, intensity_range)
+    progress("Measuring the noise", 0.0)
+    if noise_variance is None:
+        noise_variance = evidence_noise_variance(picture, psf, window)
+    gradient = gradients(picture.luminance, picture.opaque, window)
+    grid = _AnalysisGrid.over(picture.shape, gradient.pad, window, stride)
+    table = spectrum_table(psf, window, grid.rows[0] % 1, grid.columns[0] % 1, spectra)
+    opaque = _opaque_share(picture, grid, gradient.pad, window)
+    scales = label_scales(psf)
+    shape = (len(grid.rows), len(grid.columns))
+    radii = np.empty((*shape, CANDIDATES), np.float32)
+    log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
+    curve = np.empty((*shape, len(scales)), np.float32)
+    for block in grid.blocks():
+        progress("Estimating blur", 0.1 + 0.9 * block.start / shape[0])
+        power = local_power(gradient, grid.rows[block], grid.columns, window)
+        if opaque is not None:
+            power /= np.maximum(opaque[block], _LEAST_OPAQUE)[..., None, None]
+        points = power.reshape(-1, *table.noise.shape)
+        if mode == "paper":
+            block_curve = profile_log_likelihood(points, table, scales, noise_variance)
+            dispersion = np.ones(points.shape[:2], np.float32)
+        else:
+            block_curve, dispersion = quasi_log_likelihood(points, table, scales, noise_variance)
+        block_radii, block_heights = local_maxima(
+            points, block_curve, table, scales, noise_variance, dispersion
+        )
+        curve[block] = block_curve.reshape(curve[block].shape)
+        radii[block] = block_radii.reshape(radii[block].shape)
+        log_likelihoods[block] = block_heights.reshape(radii[block].shape)
+    if opaque is not None:
+        _silence_transparent(opaque, radii, log_likelihoods, curve)
+    progress("Estimating blur", 1.0)
+    spread = np.ix_(grid.row_of_window, grid.column_of_window)
+    return BlurCandidates(
+        radii[spread],
+        log_likelihoods[spread],
+        curve[spread],
+        scales,
+        window_centers(picture.shape[0], stride),
+        window_centers(picture.shape[1], stride),
+        picture.shape,
+        psf,
+        float(noise_variance),
+        window,
+        stride,
+    )
+
+
+def _check_settings(
+    psf: PSFFamily,
+    noise_variance: float | None,
+    window: int,
+    stride: int,
+    mode: str,
+    spectra: str,
+) -> None:
+    if not isinstance(psf, PSFFamily):
+        raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
+    if noise_variance is not None and not (np.isfinite(noise_variance) and noise_variance >= 0):
+        raise ValueError(
+            f"noise_variance is {noise_variance}; it takes a finite number from 0 up, or None"
+        )
+    if window != int(window) or window % 2 == 0 or window < MIN_WINDOW:
+        raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
+    if stride != int(stride) or not 1 <= stride <= window:
+        raise ValueError(f"stride is {stride}; it takes a whole number of px from 1 to {window}")
+    if 2 * psf.max_scale > window:
+        raise ValueError(
+            f"psf has a largest scale of {psf.max_scale} px; "
+            f"a window of {window} px takes at most {window / 2} px"
+        )
+    if mode not in get_args(Mode):
+        raise ValueError(f"mode is {mode!r}; it takes one of {get_args(Mode)}")
+    if spectra not in get_args(Spectra):
+        raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
+
+
+@dataclass(frozen=True)
+class _AnalysisGrid:
+    """The windows that are computed: those that reach over the border are moved inside.
+
+    Attributes
+    ----------
+    rows, columns : (r,) and (c,) float64 ndarray
+        Distinct centres in px of the padded picture.
+    row_of_window, column_of_window : (R,) and (C,) int ndarray
+        Which of them stands for each window of the result.
+    """
+
+    rows: Float64
+    columns: Float64
+    row_of_window: NDArray[np.int64]
+    column_of_window: NDArray[np.int64]
+
+    @classmethod
+    def over(
+        cls, shape: tuple[int, int], pad: tuple[int, int], window: int, stride: int
+    ) -> _AnalysisGrid:
+        axes = []
+        for length, extra in zip(shape, pad, strict=True):
+            centers = window_centers(length, stride) + extra
+            inside = within_picture(centers, length + 2 * extra, window)
+            axes.append(np.unique(inside, return_inverse=True))
+        (rows, row_of_window), (columns, column_of_window) = axes
+        return cls(rows, columns, row_of_window, column_of_window)
+
+    def blocks(self) -> Iterator[slice]:
+        """Cut the rows into blocks of a bounded number of windows."""
+        height = max(1, _WINDOWS_A_BLOCK // len(self.columns))
+        for start in range(0, len(self.rows), height):
+            yield slice(start, min(start + height, len(self.rows)))
+
+
+def _opaque_share(
+    picture: PreparedImage, grid: _AnalysisGrid, pad: tuple[int, int], window: int
+) -> Float32 | None:
+    """Return the share of each window that is opaque, weighted as power is; None if all is."""
+    if picture.opaque is None:
+        return None
+    share = gaussian_filter(picture.opaque.astype(np.float32), window / 4 / np.sqrt(2))
+    place = (
+        np.clip(np.rint(centers - extra).astype(int), 0, length - 1)
+        for centers, extra, length in zip(
+            (grid.rows, grid.columns), pad, picture.shape, strict=True
+        )
+    )
+    return share[np.ix_(*place)]
+
+
+def _silence_transparent(
+    opaque: Float32, radii: Float32, log_likelihoods: Float32, curve: Float32
+) -> None:
+    """Let windows speak in proportion to their opaque share, and the transparent ones not."""
+    curve *= opaque[..., None]
+    log_likelihoods *= opaque[..., None]
+    transparent = opaque < _LEAST_OPAQUE
+    curve[transparent] = 0
+    radii[transparent] = np.nan
+    log_likelihoods[transparent] = -np.inf
+
+
+def local_maxima(
+    power: Float32,
+    curve: Float32,
+    table: SpectrumTable,
+    scales: Float64,
+    noise_variance: float,
+    dispersion: Float32,
+) -> tuple[Float32, Float32]:
+    """Find the best three local maxima of log p(r) in the continuous domain.
+
+    Parameters
+    ----------
+    power : (P, 2, F) float32 ndarray
+    curve : (P, L) float32 ndarray
+        log p(r) at `scales`.
+    table : SpectrumTable
+    scales : (L,) float64 ndarray
+    noise_variance : float
+    dispersion : (P, 2) float32 ndarray
+
+    Returns
+    -------
+    radii, log_likelihoods : (P, 3) float32 ndarray
+        Best first; NaN and -inf where there are fewer.
+    """
+    blurs = table.at(scales)
+    pointlike = int(np.sum(np.abs(blurs / blurs[0] - 1).max(axis=(1, 2)) < _INDISTINCT)) - 1
+    start = _pick_maxima(curve, scales.astype(np.float32), pointlike)
+    radii, heights = refine_maxima(power, table, start, LABEL_STEP, noise_variance, dispersion)
+    radii[radii <= scales[pointlike] + _INDISTINCT] = scales[pointlike] / 2
+    order = np.argsort(-heights, axis=1)
+    return np.take_along_axis(radii, order, 1), np.take_along_axis(heights, order, 1)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _pick_maxima(curve: Float32, scales: Float32, first: int) -> Float32:
+    points, length = curve.shape
+    picked = np.full((points, CANDIDATES), np.nan, np.float32)
+    for point in prange(points):
+        height = np.full(CANDIDATES, -np.inf, np.float32)
+        c = curve[point]
+        for k in range(first, length):
+            rises = k == first or c[k] > c[k - 1]
+            falls = k == length - 1 or c[k] >= c[k + 1]
+            if not (rises and falls and c[k] > height[CANDIDATES - 1]):
+                continue
+            place = CANDIDATES - 1
+            while place > 0 and c[k] > height[place - 1]:
+                height[place] = height[place - 1]
+                picked[point, place] = picked[point, place - 1]
+                place -= 1
+            height[place] = c[k]
+            picked[point, place] = scales[k]
+    return picked

@@ -1,0 +1,194 @@
+"""The local Fourier filter bank and the local power spectra of a picture, (3) and (4).
+
+A Gabor filter is separable, so a window's spectrum is the product of row filters and column
+filters. Spectra of +a1 and -a1 come from the same four real sums (cos cos, sin sin, sin cos,
+cos sin), and only the sampled rows and columns are computed: both passes are matrix products.
+
+Gradients live half-way between pixels. Windows are therefore centred on the pixel (or, for an
+even stride, on the block of pixels) that they speak for, and the taps of each axis are taken
+where its samples lie; a flipped picture has exactly the flipped spectra.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+
+MIN_WINDOW = 17
+"""The smallest window with frequencies in every direction."""
+
+
+@dataclass(frozen=True)
+class AxisFilters:
+    """The 1-D halves of the Gabor filters along one axis.
+
+    Attributes
+    ----------
+    first : float
+        Position of the first tap relative to the window's centre, in px.
+    taps : (L, 2 K + 1) float32 ndarray
+        Cosines of 0, 2, ..., 2 K cycles a window, then sines of 2, ..., 2 K, times the Gaussian
+        window of unit energy.
+    """
+
+    first: float
+    taps: Float32
+
+    @property
+    def order(self) -> int:
+        """K, the number of frequencies above zero."""
+        return self.taps.shape[1] // 2
+
+
+@lru_cache(maxsize=16)
+def axis_filters(window: int, fraction: float) -> AxisFilters:
+    """Make the filters of one axis.
+
+    Parameters
+    ----------
+    window : int
+        N, the side of the analysis window in px.
+    fraction : float
+        0 if samples lie a whole number of px from the window's centre, 0.5 if half-way between.
+    """
+    reach = (window - 1) // 2 - fraction
+    position = np.arange(-reach, reach + 1)
+    envelope = np.exp(-0.5 * (position / (window / 4)) ** 2)
+    envelope /= np.sqrt(np.sum(envelope**2))
+    cycles = 2 * np.arange((window - 1) // 8 + 1) / window
+    phase = 2 * np.pi * position[:, None] * cycles
+    waves = np.hstack([np.cos(phase), np.sin(phase[:, 1:])])
+    return AxisFilters(-reach, np.ascontiguousarray(envelope[:, None] * waves, np.float32))
+
+
+def frequencies(window: int) -> NDArray[np.int64]:
+    """Return the (a_row, a_column) of every filter, in cycles a window: one half-plane, no DC.
+
+    For N = 41 these are 60. The real picture's spectrum is the same at -a and a.
+    """
+    order = (window - 1) // 8
+    positive = range(2, 2 * order + 1, 2)
+    pairs = [(0, column) for column in positive]
+    for row in positive:
+        pairs += [(row, 0), *((row, a) for a in positive), *((row, -a) for a in positive)]
+    return np.array(pairs)
+
+
+def window_centers(length: int, stride: int) -> NDArray[np.float64]:
+    """Return the centres of the analysed windows along one axis, in px, symmetric in it."""
+    count = -(-length // stride)
+    offset = np.arange(count, dtype=np.float64) - (count - 1) / 2
+    return (length - 1) / 2 + offset * stride
+
+
+def within_picture(centers: NDArray[np.float64], length: int, window: int) -> NDArray[np.float64]:
+    """Move windows that reach over the border inside, to the nearest place where they fit."""
+    fraction = centers[0] % 1
+    margin = (window - 1) // 2 + fraction
+    return np.clip(centers, margin, length - 1 - margin)
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Differences of neighbouring pixels, extended so that every window fits.
+
+    Attributes
+    ----------
+    along_columns, along_rows : (H, W - 1) and (H - 1, W) float32 ndarray
+        Horizontal and vertical differences; zero beside transparent pixels.
+    pad : (int, int)
+        Rows and columns added on each side of a picture smaller than a window.
+    """
+
+    along_columns: Float32
+    along_rows: Float32
+    pad: tuple[int, int]
+
+
+def gradients(luminance: Float32, opaque: NDArray[np.bool_] | None, window: int) -> Gradients:
+    """Take both gradients of a picture, (2), mirrored outwards if it is smaller than a window."""
+    height, width = luminance.shape
+    pad = (max(0, -(-(window + 1 - height) // 2)), max(0, -(-(window + 1 - width) // 2)))
+    if any(pad):
+        widths = [(amount, amount) for amount in pad]
+        luminance = np.pad(luminance, widths, mode="symmetric")
+        opaque = None if opaque is None else np.pad(opaque, widths, mode="symmetric")
+    across = np.diff(luminance, axis=1)
+    down = np.diff(luminance, axis=0)
+    if opaque is not None:
+        across *= opaque[:, 1:] & opaque[:, :-1]
+        down *= opaque[1:] & opaque[:-1]
+    return Gradients(across, down, pad)
+
+
+def local_power(
+    gradient: Gradients,
+    rows: NDArray[np.float64],
+    columns: NDArray[np.float64],
+    window: int,
+) -> Float32:
+    """Compute |g_i|^2 of (4) for a lattice of windows.
+
+    Parameters
+    ----------
+    gradient : Gradients
+    rows, columns : (R,) and (C,) float64 ndarray
+        Centres of the windows, in px of the (padded) picture, evenly spaced, inside it.
+    window : int
+        N.
+
+    Returns
+    -------
+    (R, C, 2, F) float32 ndarray
+        Power of the horizontal, then of the vertical gradient, at the F `frequencies`.
+    """
+    row_fraction, column_fraction = rows[0] % 1, columns[0] % 1
+    power = np.empty((len(rows), len(columns), 2, len(frequencies(window))), np.float32)
+    for direction, samples in enumerate((gradient.along_columns, gradient.along_rows)):
+        offset = (0.0, 0.5) if direction == 0 else (0.5, 0.0)
+        row_filters = axis_filters(window, abs(row_fraction - offset[0]))
+        column_filters = axis_filters(window, abs(column_fraction - offset[1]))
+        first_row = np.rint(rows - offset[0] + row_filters.first).astype(int)
+        first_column = np.rint(columns - offset[1] + column_filters.first).astype(int)
+        sums = _separable_sums(samples, first_row, first_column, row_filters, column_filters)
+        _power_of_sums(sums, power[:, :, direction])
+    return power
+
+
+def _separable_sums(
+    samples: Float32,
+    first_row: NDArray[np.int64],
+    first_column: NDArray[np.int64],
+    row_filters: AxisFilters,
+    column_filters: AxisFilters,
+) -> Float32:
+    """Filter along columns, then along rows: (R, 2 K + 1, C, 2 K + 1)."""
+    top = first_row[0]
+    bottom = first_row[-1] + len(row_filters.taps)
+    strips = sliding_window_view(samples[top:bottom], len(column_filters.taps), axis=1)
+    filtered = strips[:, first_column].transpose(1, 0, 2) @ column_filters.taps
+    lines = np.ascontiguousarray(filtered.transpose(1, 0, 2)).reshape(bottom - top, -1)
+    length = len(row_filters.taps)
+    sums = [row_filters.taps.T @ lines[row : row + length] for row in first_row - top]
+    return np.reshape(sums, (len(first_row), -1, len(first_column), column_filters.taps.shape[1]))
+
+
+def _power_of_sums(sums: Float32, power: Float32) -> None:
+    """Turn the four real sums of each frequency pair into the power at +a and -a."""
+    order = sums.shape[1] // 2
+    even_rows, odd_rows = sums[:, : order + 1], sums[:, order + 1 :]
+    even, odd = slice(0, order + 1), slice(order + 1, None)
+    power[..., :order] = even_rows[:, 0, :, 1 : order + 1] ** 2 + even_rows[:, 0, :, odd] ** 2
+    for k in range(order):
+        block = power[..., order + k * (2 * order + 1) : order + (k + 1) * (2 * order + 1)]
+        cc, cs = even_rows[:, k + 1, :, even], even_rows[:, k + 1, :, odd]
+        sc, ss = odd_rows[:, k, :, even], odd_rows[:, k, :, odd]
+        block[..., 0] = cc[..., 0] ** 2 + sc[..., 0] ** 2
+        block[..., 1 : order + 1] = (cc[..., 1:] - ss) ** 2 + (sc[..., 1:] + cs) ** 2
+        block[..., order + 1 :] = (cc[..., 1:] + ss) ** 2 + (sc[..., 1:] - cs) ** 2

@@ -1,0 +1,119 @@
+"""Any input array made ready: intensities in [0, 1], luminance, opacity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+LUMA_WEIGHTS = (0.299, 0.587, 0.114)
+"""ITU-R BT.601: the luminance that JPEG keeps at full resolution."""
+
+MIN_SIDE = 3
+
+
+@dataclass(frozen=True)
+class PreparedImage:
+    """A picture in the form that the method works on.
+
+    Attributes
+    ----------
+    color : (H, W, C) float32 ndarray
+        Intensities, nominally in [0, 1]; C is 1 or 3.
+    luminance : (H, W) float32 ndarray
+        The channel whose spectra are analysed.
+    opaque : (H, W) bool ndarray or None
+        False at fully transparent pixels, which carry no evidence; None if all are opaque.
+    """
+
+    color: NDArray[np.float32]
+    luminance: NDArray[np.float32]
+    opaque: NDArray[np.bool_] | None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in px."""
+        return self.luminance.shape[0], self.luminance.shape[1]
+
+
+def prepare_image(
+    image: ArrayLike, intensity_range: tuple[float, float] | None = None
+) -> PreparedImage:
+    """Check a picture and scale it to [0, 1].
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        Any real dtype. Integers are scaled by their dtype's range, floats are taken as they
+        are. A fourth channel is opacity: its zeros mark pixels without evidence.
+    intensity_range : (float, float), optional
+        The intensities that become 0 and 1, instead of the dtype's range.
+
+    Returns
+    -------
+    PreparedImage
+
+    Raises
+    ------
+    TypeError
+        If the dtype is not real (object, complex, text).
+    ValueError
+        If the shape is none of the above, a side is below 3 px, a value is NaN or infinite,
+        or `intensity_range` is not two increasing finite numbers.
+    """
+    array = _checked_array(image)
+    low, high = _checked_range(intensity_range, array.dtype)
+    opaque = None
+    if array.ndim == 3 and array.shape[2] == 4:
+        opaque = array[..., 3] > 0
+        opaque = None if opaque.all() else opaque
+        array = array[..., :3]
+    color = array.reshape(*array.shape[:2], -1).astype(np.float32)
+    color -= np.float32(low)
+    color *= np.float32(1.0 / (high - low))
+    return PreparedImage(color, _luminance(color), opaque)
+
+
+def _checked_array(image: ArrayLike) -> NDArray[Any]:
+    array = np.asarray(image)
+    if array.dtype.kind not in "buif":
+        raise TypeError(
+            f"image has dtype {array.dtype}; it takes a real one (integers, floats or bool)"
+        )
+    if not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))):
+        raise ValueError(f"image has shape {array.shape}; it takes (H, W), (H, W, 3) or (H, W, 4)")
+    if min(array.shape[:2]) < MIN_SIDE:
+        raise ValueError(
+            f"image is {array.shape[0]} x {array.shape[1]} px; "
+            f"it takes at least {MIN_SIDE} px a side"
+        )
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise ValueError("image has NaN or infinite values; it takes finite ones")
+    return array
+
+
+def _checked_range(
+    intensity_range: tuple[float, float] | None, dtype: np.dtype[Any]
+) -> tuple[float, float]:
+    if intensity_range is not None:
+        try:
+            low, high = (float(value) for value in intensity_range)
+        except (TypeError, ValueError):
+            low, high = np.nan, np.nan
+        if not (np.isfinite([low, high]).all() and low < high):
+            raise ValueError(
+                f"intensity_range is {intensity_range!r}; it takes two finite numbers (low, high)"
+            )
+        return low, high
+    if dtype.kind in "ui":
+        limits = np.iinfo(dtype)
+        return float(limits.min), float(limits.max)
+    return 0.0, 1.0
+
+
+def _luminance(color: NDArray[np.float32]) -> NDArray[np.float32]:
+    if color.shape[2] == 1:
+        return color[..., 0]
+    return color @ np.asarray(LUMA_WEIGHTS, np.float32)

@@ -1,0 +1,257 @@
+"""The coherent blur map: data term, edge weights, labels on the grid and at its edges, (14)-(16).
+
+Labels are found on the grid of analysed windows, a label for each block of pixels, with the
+data term times the block's area and the weights of all pixel pairs that cross between blocks.
+Blocks beside a jump of the blur are then labelled pixel by pixel, so that the map follows the
+picture's edges, and between labels that belong together the map is interpolated.
+"""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.boundaries import Blocks, interpolate_labels, label_pixels
+from napari_defocus.candidates import BlurCandidates, estimate_candidates
+from napari_defocus.gabor import within_picture
+from napari_defocus.graphcut import expand_until_settled, minimize_energy
+from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.progress import Progress, silent, within
+from napari_defocus.psf import Disc, PSFFamily
+from napari_defocus.settings import MapSettings, Mode
+from napari_defocus.spectrum import LABEL_STEP
+
+Float32 = NDArray[np.float32]
+
+KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
+"""The kernel that widens candidates into an artificial likelihood (Section III-B)."""
+
+LIKELIHOOD_FLOOR = 1e-24
+"""The artificial likelihood of scales that no candidate reaches, instead of 0."""
+
+_CURVE_DEPTH = 15.0
+_CURVE_WEIGHT = 12.0
+_JUMP = 4
+
+
+def data_term(candidates: BlurCandidates, mode: Mode) -> Float32:
+    """Return D of (14): the cost of each of `candidates.scales` at each window, (R, C, L).
+
+    "paper" takes -log of the artificial likelihood. "curve" takes the whole curve,
+    12 min(max log p - log p(r), 15): it keeps what a broad or shallow maximum says, and its
+    depth is limited because no window is exactly what the model says. A window that stands
+    for n places along the border is not n windows; it is weighted by 1 / sqrt(n).
+    """
+    if mode == "paper":
+        return -np.log(artificial_likelihood(candidates)).astype(np.float32)
+    depth = candidates.curve.max(axis=2, keepdims=True) - candidates.curve
+    weight = _CURVE_WEIGHT / np.sqrt(_places_of_window(candidates))
+    return weight[..., None].astype(np.float32) * np.minimum(depth, np.float32(_CURVE_DEPTH))
+
+
+def _places_of_window(candidates: BlurCandidates) -> NDArray[np.float64]:
+    """Return how many places of the grid each window stands for: (R, C)."""
+    places = []
+    centers = (candidates.row_centers, candidates.column_centers)
+    for position, length in zip(centers, candidates.image_shape, strict=True):
+        inside = within_picture(position, max(length, candidates.window + 1), candidates.window)
+        _, window, count = np.unique(inside, return_inverse=True, return_counts=True)
+        places.append(count[window])
+    return np.multiply.outer(*places)
+
+
+def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
+    """Return p~ of Section III-B: the three candidates widened by kappa, sum 1, (R, C, L)."""
+    best = candidates.log_likelihoods[..., :1]
+    present = np.isfinite(candidates.radii)
+    height = np.exp(np.where(present, candidates.log_likelihoods - best, -np.inf), dtype=np.float64)
+    label = np.rint(np.where(present, candidates.radii, 0) / LABEL_STEP).astype(int)
+    count, reach = len(candidates.scales), len(KAPPA) // 2
+    likelihood = np.zeros((*label.shape[:2], count + 2 * reach))
+    rows, columns = np.indices(label.shape[:2])
+    for k in range(label.shape[2]):
+        for tap, weight in enumerate(KAPPA):
+            likelihood[rows, columns, label[..., k] + tap] += weight * height[..., k]
+    likelihood = np.maximum(likelihood[..., reach:-reach], LIKELIHOOD_FLOOR)
+    return likelihood / likelihood.sum(axis=2, keepdims=True)
+
+
+def label_blur_map(
+    candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    smoothness: float = MapSettings.smoothness,
+    color_sigma: float = MapSettings.color_sigma,
+    mode: Mode = MapSettings.mode,
+    intensity_range: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> Float32:
+    """Choose one blur scale at every pixel: likely, smooth, and free to jump at colour edges.
+
+    Section III-B of the paper [1]_: minimises (14) with the penalty (15) on differences of
+    labels 0.1 px apart and the colour-dependent weights (16) over 8 neighbours, by minimum
+    cuts.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+        From `estimate_candidates` on the same picture.
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        The picture, for its colours.
+    smoothness : float, optional
+        lambda_0 of (16), for a difference of one label, 0.1 px. Larger maps are smoother.
+    color_sigma : float, optional
+        sigma_lambda of (16), intensities in [0, 1]: neighbours whose colours differ by more
+        may differ in blur at little cost.
+    mode : {"curve", "paper"}, optional
+        "paper": the artificial likelihood of three candidates, labelled by expansion moves.
+        "curve": the whole likelihood curve, which follows steep blur better, labelled by
+        range moves and expansions from coarse to fine, which is faster.
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        Blur scale in px: the radius, for `Disc`.
+
+    Raises
+    ------
+    TypeError
+        If `image` has no real dtype.
+    ValueError
+        If `image` is no picture (see `estimate_candidates`) or another one than that of
+        `candidates`, if `smoothness` is negative, `color_sigma` not positive, or `mode` unknown.
+
+    References
+    ----------
+    .. [1] X. Zhu, S. Cohen, S. Schiller, P. Milanfar, "Estimating Spatially Varying Defocus
+       Blur from A Single Image", IEEE Transactions on Image Processing 22(12), 2013.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_candidates, label_blur_map, simulate_defocus
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> blur_map = label_blur_map(estimate_candidates(picture), picture)
+    >>> float(np.median(blur_map).round())
+    3.0
+    """
+    check_weights(smoothness, color_sigma)
+    if mode not in get_args(Mode):
+        raise ValueError(f"mode is {mode!r}; it takes one of {get_args(Mode)}")
+    picture = picture_of(candidates, image, intensity_range)
+    blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
+    cost = data_term(candidates, mode)
+    block_cost = cost * blocks.area[..., None]
+    weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
+    minimize = expand_until_settled if mode == "paper" else minimize_energy
+    labels = minimize(block_cost, weights, within(progress, 0.0, 0.7, "Making the map coherent"))
+    progress("Following the picture's edges", 0.7)
+    pixels = label_pixels(
+        labels,
+        cost,
+        blocks,
+        picture.color,
+        smoothness=smoothness,
+        color_sigma=color_sigma,
+        jump=_JUMP,
+    )
+    progress("Following the picture's edges", 1.0)
+    return np.float32(LABEL_STEP) * interpolate_labels(labels, pixels, blocks, _JUMP)
+
+
+def estimate_blur_map(
+    image: ArrayLike,
+    *,
+    psf: PSFFamily = Disc(),
+    noise_variance: float | None = MapSettings.noise_variance,
+    window: int = MapSettings.window,
+    stride: int = MapSettings.stride,
+    smoothness: float = MapSettings.smoothness,
+    color_sigma: float = MapSettings.color_sigma,
+    mode: Mode = MapSettings.mode,
+    intensity_range: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> Float32:
+    """Measure the defocus blur at every pixel of one picture: candidates, then labels.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        Any real dtype; integers are scaled by their dtype's range, floats are taken as
+        [0, 1]. A fourth channel is opacity.
+    psf, noise_variance, window, stride
+        See `estimate_candidates`.
+    smoothness, color_sigma, mode
+        See `label_blur_map`.
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        Blur scale in px: the radius, for `Disc`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As in the two functions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_blur_map, simulate_defocus
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> estimate_blur_map(picture).shape
+    (100, 100)
+    """
+    check_weights(smoothness, color_sigma)
+    candidates = estimate_candidates(
+        image,
+        psf=psf,
+        noise_variance=noise_variance,
+        window=window,
+        stride=stride,
+        mode=mode,
+        intensity_range=intensity_range,
+        progress=within(progress, 0.0, 0.4),
+    )
+    return label_blur_map(
+        candidates,
+        image,
+        smoothness=smoothness,
+        color_sigma=color_sigma,
+        mode=mode,
+        intensity_range=intensity_range,
+        progress=within(progress, 0.4, 1.0),
+    )
+
+
+def picture_of(
+    candidates: BlurCandidates, image: ArrayLike, intensity_range: tuple[float, float] | None
+) -> PreparedImage:
+    """Prepare the picture that candidates came from, or say that it is another one."""
+    picture = prepare_image(image, intensity_range)
+    if picture.shape != candidates.image_shape:
+        raise ValueError(
+            f"image is {picture.shape[0]} x {picture.shape[1]} px; these candidates are of a "
+            f"picture of {candidates.image_shape[0]} x {candidates.image_shape[1]} px"
+        )
+    return picture
+
+
+def check_weights(smoothness: float, color_sigma: float) -> None:
+    """Check the parameters of (16)."""
+    if not (np.isfinite(smoothness) and smoothness >= 0):
+        raise ValueError(f"smoothness is {smoothness}; it takes a finite number from 0 up")
+    if not (np.isfinite(color_sigma) and color_sigma > 0):
+        raise ValueError(f"color_sigma is {color_sigma}; it takes a finite number above 0")

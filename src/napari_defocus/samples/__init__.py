@@ -1,0 +1,1 @@
+"""Small pictures with free licences, named in ATTRIBUTION.md beside them."""

@@ -1,0 +1,109 @@
+"""In focus or not, at every pixel: one binary cut, (17) and (18)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.boundaries import Blocks, label_pixels
+from napari_defocus.candidates import BlurCandidates
+from napari_defocus.graphcut import minimize_energy
+from napari_defocus.labeling import check_weights, data_term, picture_of
+from napari_defocus.progress import Progress, silent, within
+from napari_defocus.settings import MapSettings, MaskSettings, Mode
+
+Float32 = NDArray[np.float32]
+
+
+def segment_in_focus(
+    candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    threshold: float = MaskSettings.threshold,
+    smoothness: float = MaskSettings.smoothness,
+    color_sigma: float = MaskSettings.color_sigma,
+    mode: Mode = MapSettings.mode,
+    intensity_range: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> NDArray[np.uint8]:
+    """Separate what is in focus from what is blurred.
+
+    Minimises (17): being in focus costs what the best scale up to `threshold` costs, being
+    blurred what the best scale above it costs (18), and a boundary costs least along edges of
+    colour (16).
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+        From `estimate_candidates` on the same picture. Other settings here need no new ones.
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        The picture, for its colours.
+    threshold : float, optional
+        tau of (18), the largest blur scale in px that counts as in focus.
+    smoothness : float, optional
+        lambda_0 of (16) for a boundary between two pixels. Larger masks have fewer parts.
+    color_sigma : float, optional
+        sigma_lambda of (16), intensities in [0, 1].
+    mode : {"curve", "paper"}, optional
+        What scales cost, as in `label_blur_map`.
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    (H, W) uint8 ndarray
+        1 in focus, 0 blurred.
+
+    Raises
+    ------
+    TypeError
+        If `image` has no real dtype.
+    ValueError
+        If `image` is no picture (see `estimate_candidates`) or another one than that of
+        `candidates`, if `threshold` is not within the scales of `candidates`, `smoothness`
+        negative or `color_sigma` not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_candidates, segment_in_focus, simulate_defocus
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 5.0))
+    >>> int(segment_in_focus(estimate_candidates(picture), picture).max())
+    0
+    """
+    check_weights(smoothness, color_sigma)
+    if not 0 <= threshold < candidates.scales[-1]:
+        raise ValueError(
+            f"threshold is {threshold}; it takes a scale from 0 to below "
+            f"{candidates.scales[-1]:g} px, the largest that was looked for"
+        )
+    picture = picture_of(candidates, image, intensity_range)
+    step = "Separating focus from blur"
+    blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
+    cost = focus_cost(candidates, threshold, mode)
+    weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
+    labels = minimize_energy(
+        cost * blocks.area[..., None], weights, within(progress, 0.0, 0.5, step)
+    )
+    progress(step, 0.5)
+    mask = label_pixels(
+        labels,
+        cost,
+        blocks,
+        picture.color,
+        smoothness=smoothness,
+        color_sigma=color_sigma,
+        jump=1,
+    )
+    progress(step, 1.0)
+    return mask.astype(np.uint8)
+
+
+def focus_cost(candidates: BlurCandidates, threshold: float, mode: Mode) -> Float32:
+    """Return D of (18) at each window, blurred and in focus: (R, C, 2)."""
+    cost = data_term(candidates, mode)
+    sharp = candidates.scales <= threshold + 1e-9
+    return np.stack([cost[..., ~sharp].min(axis=2), cost[..., sharp].min(axis=2)], axis=2)

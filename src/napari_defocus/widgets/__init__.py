@@ -1,0 +1,1 @@
+"""The napari side: widgets, sample data, and layers in and out."""

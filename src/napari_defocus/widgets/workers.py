@@ -1,0 +1,147 @@
+"""One function in a worker thread, with progress and Cancel in the main thread."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from napari.qt.threading import create_worker
+from napari.utils import cancelable_progress
+from napari.utils.notifications import notification_manager
+from qtpy.QtCore import QObject, Signal
+
+from napari_defocus.progress import Cancelled, Progress
+
+REPORT_INTERVAL = 0.05
+"""Seconds between two reports that reach the main thread."""
+
+STEPS = 100
+
+_running: set["Run"] = set()
+"""Keeps a run alive until its thread has ended, whatever becomes of its widget."""
+
+
+@dataclass(frozen=True)
+class _Done:
+    value: Any
+
+
+@dataclass(frozen=True)
+class _Refused:
+    reason: str
+
+
+@dataclass(frozen=True)
+class _Failed:
+    error: Exception
+
+
+class _ProgressBar(cancelable_progress):
+    """napari's bar calls its cancel_callback only when it is iterated over."""
+
+    def cancel(self) -> None:
+        super().cancel()
+        self.cancel_callback()
+
+
+class Run(QObject):
+    """A function at work in another thread; all signals reach the main thread.
+
+    Parameters
+    ----------
+    function : callable
+        Called as ``function(progress)`` in the worker thread. A `ValueError`, `TypeError`
+        or `MemoryError` means that its input cannot be worked on.
+    description : str
+        What napari's activity list shows.
+    owner : object
+        Who waits for it: kept alive until it has finished.
+    """
+
+    progressed = Signal(str, float)
+    """The step's name, and the share of the whole that is done."""
+
+    returned = Signal(object)
+    """The function's value; not sent after `cancel`."""
+
+    refused = Signal(str)
+    """Why the input cannot be worked on."""
+
+    finished = Signal()
+    """Sent once and last, whatever happened."""
+
+    _reported = Signal(str, float)
+
+    def __init__(
+        self, function: Callable[[Progress], Any], description: str, owner: object = None
+    ) -> None:
+        super().__init__()
+        self._owner = owner
+        self._function = function
+        self._description = description
+        self._last_report = 0.0
+        self._worker = create_worker(
+            self._work, _connect={"returned": self._on_returned}, _start_thread=False
+        )
+        self._worker.finished.connect(self._on_finished)
+        self._reported.connect(self._on_reported)
+
+    def start(self) -> None:
+        """Start the thread and show the progress bar."""
+        _running.add(self)
+        self.bar = _ProgressBar(total=STEPS, desc=self._description, cancel_callback=self.cancel)
+        self._worker.start()
+
+    def cancel(self) -> None:
+        """Ask the function to end at its next report; nothing is returned."""
+        self._worker.quit()
+
+    @property
+    def is_cancelled(self) -> bool:
+        """Whether it was asked to end."""
+        return bool(self._worker.abort_requested)
+
+    def _work(self) -> _Done | _Refused | _Failed | None:
+        try:
+            return _Done(self._function(self._report))
+        except Cancelled:
+            return None
+        except (ValueError, TypeError) as error:
+            return _Refused(str(error))
+        except MemoryError:
+            return _Refused("there is not enough memory for it. Crop it first.")
+        except Exception as error:  # a defect: napari shows it once, in the main thread
+            return _Failed(error)
+
+    def _report(self, step: str, done: float) -> None:
+        if self.is_cancelled:
+            raise Cancelled
+        now = time.monotonic()
+        if now - self._last_report >= REPORT_INTERVAL:
+            self._last_report = now
+            self._reported.emit(step, done)
+
+    def _on_reported(self, step: str, done: float) -> None:
+        if self.is_cancelled:
+            return
+        self.progressed.emit(step, done)
+        self.bar.set_description(step)
+        # The bar lets Qt handle events: the run may have ended within either call.
+        self.bar.update(round(STEPS * done) - self.bar.n)
+
+    def _on_returned(self, result: _Done | _Refused | _Failed) -> None:
+        if self.is_cancelled:
+            return
+        match result:
+            case _Done(value):
+                self.returned.emit(value)
+            case _Refused(reason):
+                self.refused.emit(reason)
+            case _Failed(error):
+                notification_manager.receive_error(type(error), error, error.__traceback__)
+
+    def _on_finished(self) -> None:
+        self.bar.close()
+        _running.discard(self)
+        self.finished.emit()
+        self._owner = None

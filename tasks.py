@@ -1,0 +1,203 @@
+"""What a developer runs: ``python3 tasks.py demo``, ``test [pytest arguments]``, ``lint``.
+
+Needs nothing but Python; everything else is installed into .venv beside this file.
+"""
+
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+# For whoever starts this with an older Python than the package takes.
+if sys.version_info < (3, 11):  # noqa: UP036
+    sys.exit(
+        "tasks.py: napari-defocus needs Python 3.11 or newer, this is " + sys.version.split()[0]
+    )
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
+PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
+
+OLDEST_PIP = (25, 1)  # the first one that knows --group
+
+PACKAGES_OF = {
+    "demo": ["-e", "."],
+    "development": ["-e", ".", "--group", "test", "--group", "lint"],
+}
+
+PACKAGE_OF_PROGRAM = {"Xvfb": "xvfb", "xauth": "xauth"}
+
+# What Qt's xcb platform and OpenGL load under Xvfb, and the Debian package of each.
+PACKAGE_OF_LIBRARY = {
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libOpenGL.so.0": "libopengl0",
+    "libdbus-1.so.3": "libdbus-1-3",
+    "libfontconfig.so.1": "libfontconfig1",
+    "libglib-2.0.so.0": "libglib2.0-0",
+    "libX11-xcb.so.1": "libx11-xcb1",
+    "libxkbcommon-x11.so.0": "libxkbcommon-x11-0",
+    "libxcb-cursor.so.0": "libxcb-cursor0",
+    "libxcb-icccm.so.4": "libxcb-icccm4",
+    "libxcb-image.so.0": "libxcb-image0",
+    "libxcb-keysyms.so.1": "libxcb-keysyms1",
+    "libxcb-randr.so.0": "libxcb-randr0",
+    "libxcb-render-util.so.0": "libxcb-render-util0",
+    "libxcb-shape.so.0": "libxcb-shape0",
+    "libxcb-sync.so.1": "libxcb-sync1",
+    "libxcb-xfixes.so.0": "libxcb-xfixes0",
+    "libxcb-xkb.so.1": "libxcb-xkb1",
+}
+
+# Drivers that OpenGL picks at run time: no library name to try.
+PACKAGES_WITHOUT_LIBRARY = ["libgl1-mesa-dri"]
+
+
+def main(arguments):
+    tasks = {"demo": demo, "test": test, "lint": lint}
+    if not arguments or arguments[0] not in tasks:
+        sys.exit(f"usage: python3 tasks.py {{{'|'.join(tasks)}}} [arguments]")
+    os.chdir(ROOT)
+    return tasks[arguments[0]](arguments[1:])
+
+
+def demo(arguments):
+    install("demo")
+    return call(BIN / "napari-defocus", "demo", *arguments)
+
+
+def test(arguments):
+    install("development")
+    if sys.platform == "linux":
+        install_display_packages()
+    return call(PYTHON, "-m", "pytest", *arguments)
+
+
+def lint(_arguments):
+    install("development")
+    checks = ["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]
+    return max([call(PYTHON, "-m", *check) for check in checks])
+
+
+def call(*command):
+    sys.stdout.flush()
+    return subprocess.call(command)
+
+
+def install(packages):
+    """Make .venv hold what is asked for; costs nothing if it does already."""
+    make_venv()
+    wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + bytes(ROOT)).hexdigest()
+    if any(stamp(name) == wanted for name in {packages, "development"}):
+        return
+    print(f"Installing into {VENV.name}; the first time this takes minutes.", flush=True)
+    stamp_path(packages).unlink(missing_ok=True)
+    upgrade_pip()
+    pip("install", *PACKAGES_OF[packages])
+    stamp_path(packages).write_text(wanted)
+
+
+def stamp_path(packages):
+    return VENV / f"installed-{packages}.txt"
+
+
+def stamp(packages):
+    path = stamp_path(packages)
+    return path.read_text() if path.exists() else None
+
+
+def make_venv():
+    if venv_version() == sys.version_info[:2]:
+        return
+    print(f"Making {VENV.name} for Python {sys.version.split()[0]}.", flush=True)
+    if subprocess.call([sys.executable, "-m", "venv", "--clear", VENV]) != 0:
+        sys.exit("tasks.py: no virtual environment could be made (on Debian: python3-venv)")
+
+
+def venv_version():
+    """Return the (major, minor) of the Python in .venv, None if it or its pip does not run."""
+    code = "import sys, pip; print(*sys.version_info[:2])"
+    try:
+        answer = subprocess.run([PYTHON, "-c", code], capture_output=True, text=True)
+    except OSError:
+        return None
+    return tuple(map(int, answer.stdout.split())) if answer.returncode == 0 else None
+
+
+def upgrade_pip():
+    answer = subprocess.check_output(
+        [PYTHON, "-c", "import pip; print(pip.__version__)"], text=True
+    )
+    version = tuple(int(part) for part in answer.split(".")[:2])
+    if version < OLDEST_PIP:
+        pip("install", "--upgrade", f"pip>={'.'.join(map(str, OLDEST_PIP))}")
+
+
+def pip(*arguments):
+    options = "-qq", "--disable-pip-version-check"
+    if call(PYTHON, "-m", "pip", *options, *arguments) != 0:
+        sys.exit("tasks.py: pip failed, see above")
+
+
+def install_display_packages():
+    missing = missing_display_packages()
+    if not missing:
+        return
+    print("Installing for the display of the tests:", *missing, flush=True)
+    become_root = [] if os.geteuid() == 0 else ["sudo", "-n"]
+    installed = shutil.which("apt-get") is not None and all(
+        run_quietly([*become_root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *step])
+        for step in (["update"], ["install", "-y", "--no-install-recommends", *missing])
+    )
+    if not installed or missing_display_packages():
+        sys.exit(
+            "tasks.py: the tests of the widgets need these (names of Debian), please install "
+            "them: " + " ".join(missing)
+        )
+
+
+def missing_display_packages():
+    programs = [
+        package for name, package in PACKAGE_OF_PROGRAM.items() if shutil.which(name) is None
+    ]
+    libraries = [package for name, package in PACKAGE_OF_LIBRARY.items() if not loads(name)]
+    others = [package for package in PACKAGES_WITHOUT_LIBRARY if known_missing(package)]
+    return programs + libraries + others
+
+
+def loads(library):
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def known_missing(package):
+    """Tell whether dpkg, where there is one, says that a package is not installed."""
+    if shutil.which("dpkg-query") is None:
+        return False
+    query = ["dpkg-query", "--show", "--showformat=${db:Status-Status}", package]
+    return "installed" not in subprocess.run(query, capture_output=True, text=True).stdout.split()
+
+
+def run_quietly(command):
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        print(error)
+        return False
+    if answer.returncode != 0:
+        print(answer.stdout + answer.stderr)
+    return answer.returncode == 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        sys.exit(130)

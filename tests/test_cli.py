@@ -1,0 +1,367 @@
+"""The terminal command: what it prints, what it writes, and how it fails."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from importlib.resources import files
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+from typer.testing import CliRunner
+
+import napari_defocus
+from napari_defocus.cli import app
+from napari_defocus.settings import MapSettings, MaskSettings
+
+SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
+
+
+@pytest.fixture
+def picture(tmp_path):
+    """A folder with nothing but a small picture in it; returns the picture's path."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    with Image.open(str(SAMPLE)) as sample:
+        sample.crop((140, 60, 236, 140)).save(folder / "seed.png")
+    return folder / "seed.png"
+
+
+@pytest.fixture
+def instant(monkeypatch):
+    """Stand-ins for the method, where a test is not about its results; keeps their arguments."""
+    calls = {}
+
+    def estimate_candidates(image, **options):
+        calls["candidates"] = options
+        return SimpleNamespace(image_shape=image.shape[:2], noise_variance=1e-4)
+
+    def label_blur_map(candidates, image, **options):
+        calls["map"] = options
+        return np.full(image.shape[:2], 2.5, np.float32)
+
+    def segment_in_focus(candidates, image, **options):
+        calls["mask"] = options
+        return np.ones(image.shape[:2], np.uint8)
+
+    for function in (estimate_candidates, label_blur_map, segment_in_focus):
+        monkeypatch.setattr(napari_defocus, function.__name__, function)
+    return calls
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def assert_fails_in_one_line(result, *, saying, code=2):
+    assert result.exit_code == code, result.output
+    assert result.stdout == ""
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("napari-defocus: ")
+    assert saying in lines[0]
+
+
+# --- what the commands do -------------------------------------------------------------------
+
+
+def test_map_writes_radii_in_px_and_a_drawing(picture):
+    result = run("map", picture)
+    assert result.exit_code == 0, result.output
+    assert names_in(picture.parent) == ["seed-blur.png", "seed-blur.tif", "seed.png"]
+    radius = tifffile.imread(picture.with_name("seed-blur.tif"))
+    assert radius.shape == (80, 96)
+    assert radius.dtype == np.float32
+    assert 0 <= radius.min() <= radius.max() <= 8
+    assert "96 x 80 px" in result.stdout
+    assert f"median {np.median(radius):.1f} px" in result.stdout
+    assert "seed-blur.tif" in result.stdout
+
+
+def test_map_says_in_the_file_what_made_it(picture):
+    assert run("map", picture, "--smoothness", 5).exit_code == 0
+    with tifffile.TiffFile(picture.with_name("seed-blur.tif")) as tiff:
+        description = json.loads(tiff.pages[0].description)
+    assert description["unit"] == "px"
+    assert description["settings"]["smoothness"] == 5
+    assert description["settings"]["max_radius"] == MapSettings.max_radius
+    assert description["settings"]["noise_variance"] > 0, "the variance that was found"
+
+
+def test_segment_writes_a_mask_and_an_overlay(picture):
+    result = run("segment", picture)
+    assert result.exit_code == 0, result.output
+    assert names_in(picture.parent) == ["seed-mask.png", "seed-overlay.png", "seed.png"]
+    mask = np.asarray(Image.open(picture.with_name("seed-mask.png")))
+    overlay = np.asarray(Image.open(picture.with_name("seed-overlay.png")))
+    assert mask.shape == (80, 96)
+    assert set(np.unique(mask)) <= {0, 255}
+    assert overlay.shape == (80, 96, 3)
+    assert f"{100 * (mask > 0).mean():.1f} %" in result.stdout
+
+
+def test_demo_measures_the_sample_and_can_be_run_again(tmp_path, instant):
+    folder = tmp_path / "results"
+    for _ in range(2):
+        result = run("demo", folder)
+        assert result.exit_code == 0, result.output
+    assert names_in(folder) == [
+        "dandelion-blur.png",
+        "dandelion-blur.tif",
+        "dandelion-mask.png",
+        "dandelion-overlay.png",
+    ]
+    assert "1000 x 562 px" in result.stdout
+    assert "2.5 px" in result.stdout
+    assert "100.0 %" in result.stdout
+    assert "sigma 2.55 of 255 grey levels" in result.stdout, "sqrt(1e-4) of 255"
+
+
+def test_json_is_one_object_with_everything(picture):
+    result = run("map", picture, "--json")
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.stdout)
+    radius = tifffile.imread(picture.with_name("seed-blur.tif"))
+    assert (facts["width"], facts["height"]) == (96, 80)
+    assert facts["radius_median_px"] == pytest.approx(np.median(radius))
+    assert facts["radius_p5_px"] <= facts["radius_median_px"] <= facts["radius_p95_px"]
+    variance = facts["noise_variance"]
+    assert facts["noise_sigma_grey_levels"] == pytest.approx(255 * variance**0.5)
+    assert facts["seconds"] >= 0
+    assert facts["files"] == [str(picture.with_name(f"seed-blur.{end}")) for end in ("tif", "png")]
+
+
+def test_json_of_segment_has_the_share_in_focus(picture, instant):
+    assert json.loads(run("segment", picture, "--json").stdout)["in_focus_percent"] == 100.0
+
+
+def test_quiet_prints_nothing(picture, instant):
+    result = run("map", picture, "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
+
+
+def test_defaults_are_those_of_the_functions(picture, instant):
+    assert run("map", picture).exit_code == 0
+    assert run("segment", picture).exit_code == 0
+    assert instant["candidates"]["psf"].max_radius == MapSettings.max_radius
+    assert instant["candidates"]["noise_variance"] is MapSettings.noise_variance
+    assert instant["map"]["smoothness"] == MapSettings.smoothness
+    assert instant["map"]["color_sigma"] == MapSettings.color_sigma
+    assert instant["map"]["mode"] == MapSettings.mode
+    assert instant["mask"]["threshold"] == MaskSettings.threshold
+    assert instant["mask"]["smoothness"] == MaskSettings.smoothness
+    assert instant["mask"]["color_sigma"] == MaskSettings.color_sigma
+
+
+def test_options_reach_the_functions(picture, instant):
+    common = ["--noise-variance", 2e-4, "--max-radius", 5, "--color-sigma", 0.3]
+    common += ["--smoothness", 7, "--intensity-range", 10, 200]
+    assert run("map", picture, *common, "--mode", "paper").exit_code == 0
+    assert run("segment", picture, *common, "--threshold", 1.5).exit_code == 0
+    assert instant["candidates"]["noise_variance"] == 2e-4
+    assert instant["candidates"]["psf"].max_radius == 5
+    for step in ("map", "mask"):
+        assert instant[step]["color_sigma"] == 0.3
+        assert instant[step]["smoothness"] == 7
+        assert instant[step]["intensity_range"] == (10, 200)
+    assert instant["map"]["mode"] == "paper"
+    assert instant["mask"]["threshold"] == 1.5
+
+
+def test_only_the_outputs_that_are_named_are_written(picture, instant):
+    folder = picture.parent
+    assert run("map", picture, "-o", folder / "values.tiff").exit_code == 0
+    assert run("map", picture, "-o", folder / "a.tif", "-o", folder / "b.png").exit_code == 0
+    assert run("segment", picture, "-o", folder / "m.png").exit_code == 0
+    assert run("segment", picture, "--overlay", folder / "o.png").exit_code == 0
+    expected = ["a.tif", "b.png", "m.png", "o.png", "seed.png", "values.tiff"]
+    assert names_in(folder) == expected
+
+
+def test_version_is_the_package_s():
+    assert run("--version").stdout == f"napari-defocus {napari_defocus.__version__}\n"
+
+
+# --- how they fail --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["map", "segment"])
+def test_existing_result_stops_before_any_work(picture, instant, command):
+    assert run(command, picture).exit_code == 0
+    results = [path for path in picture.parent.iterdir() if path != picture]
+    for path in results:
+        path.write_bytes(b"mine")
+    instant.clear()
+    assert_fails_in_one_line(run(command, picture), saying="exists already")
+    assert not instant, "nothing was computed"
+    assert {path.read_bytes() for path in results} == {b"mine"}
+    assert run(command, picture, "--force").exit_code == 0
+    assert b"mine" not in {path.read_bytes() for path in results}
+
+
+def test_picture_is_never_overwritten(picture, instant):
+    before = picture.read_bytes()
+    result = run("segment", picture, "-o", picture, "--force")
+    assert_fails_in_one_line(result, saying="is the picture that is read")
+    assert picture.read_bytes() == before
+
+
+@pytest.mark.parametrize("command", ["map", "segment"])
+@pytest.mark.parametrize("content", [None, b"", b"no picture"])
+def test_unreadable_picture(tmp_path, command, content):
+    path = tmp_path / "two\nlines.png"
+    if content is not None:
+        path.write_bytes(content)
+    before = names_in(tmp_path)
+    assert_fails_in_one_line(run(command, path), saying="cannot read")
+    assert names_in(tmp_path) == before
+
+
+@pytest.mark.parametrize("path", [".", "..", "/"])
+def test_folder_instead_of_a_picture(path):
+    assert_fails_in_one_line(run("map", path), saying="is a folder")
+
+
+def test_picture_that_the_method_does_not_take(tmp_path):
+    Image.new("L", (2, 40)).save(tmp_path / "thin.png")
+    assert_fails_in_one_line(run("map", tmp_path / "thin.png"), saying="3 px")
+    tifffile.imwrite(tmp_path / "nan.tif", np.full((40, 40), np.nan, np.float32))
+    assert_fails_in_one_line(run("map", tmp_path / "nan.tif"), saying="NaN")
+    tifffile.imwrite(tmp_path / "complex.tif", np.ones((40, 40), np.complex64))
+    assert_fails_in_one_line(run("map", tmp_path / "complex.tif"), saying="complex64")
+    assert names_in(tmp_path) == ["complex.tif", "nan.tif", "thin.png"]
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value", "saying"),
+    [
+        ("map", "--noise-variance", -1, "noise_variance"),
+        ("map", "--noise-variance", "nan", "noise_variance"),
+        ("map", "--max-radius", 0, "max_radius"),
+        ("map", "--max-radius", 100, "largest scale"),
+        ("map", "--smoothness", -1, "smoothness"),
+        ("map", "--color-sigma", 0, "color_sigma"),
+        ("segment", "--threshold", -1, "threshold"),
+        ("segment", "--smoothness", "inf", "smoothness"),
+        ("segment", "--color-sigma", -1, "color_sigma"),
+    ],
+)
+def test_value_out_of_range(picture, command, option, value, saying):
+    assert_fails_in_one_line(run(command, picture, option, value), saying=saying)
+    assert names_in(picture.parent) == ["seed.png"]
+
+
+def test_intensity_range_that_is_none(picture):
+    result = run("map", picture, "--intensity-range", 5, 5)
+    assert_fails_in_one_line(result, saying="intensity_range")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["map"], ["nonsense"], ["map", "p.png", "--nonsense"], ["map", "p.png", "--mode", "other"]],
+)
+def test_wrong_usage_ends_with_code_2_and_a_hint(arguments):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert "Usage:" in result.stderr
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "output", "saying"),
+    [
+        ("map", "none/map.tif", "there is no folder"),
+        ("map", "map.jpg", "must end in"),
+        ("map", "folder.tif", "is a folder"),
+        ("segment", "none/mask.png", "there is no folder"),
+        ("segment", "mask.tif", "must end in"),
+    ],
+)
+def test_output_that_cannot_be_is_refused_before_any_work(
+    picture, instant, command, output, saying
+):
+    (picture.parent / "folder.tif").mkdir()
+    result = run(command, picture, "-o", picture.parent / output, "--force")
+    assert_fails_in_one_line(result, saying=saying)
+    assert not instant, "nothing was computed"
+    assert names_in(picture.parent) == ["folder.tif", "seed.png"]
+
+
+def full_disk(_descriptor):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_full_disk(picture, instant, monkeypatch):
+    monkeypatch.setattr(os, "fsync", full_disk)
+    assert_fails_in_one_line(run("map", picture), saying="No space left on device")
+    assert names_in(picture.parent) == ["seed.png"]
+
+
+@pytest.mark.parametrize(
+    ("error", "saying", "code"),
+    [
+        (KeyboardInterrupt(), "interrupted", 130),
+        (MemoryError(), "memory", 2),
+        (TypeError("image has dtype object"), "dtype object", 2),
+        (RuntimeError("first\nsecond"), "RuntimeError: first second", 2),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_whatever_happens_ends_in_one_line(picture, instant, monkeypatch, error, saying, code):
+    def fail(*_args, **_kwargs):
+        raise error
+
+    monkeypatch.setattr(napari_defocus, "label_blur_map", fail)
+    assert_fails_in_one_line(run("map", picture, "--json"), saying=saying, code=code)
+    assert names_in(picture.parent) == ["seed.png"]
+
+
+def test_failed_demo_leaves_no_folder_behind(tmp_path, instant, monkeypatch):
+    monkeypatch.setattr(os, "fsync", full_disk)
+    assert_fails_in_one_line(run("demo", tmp_path / "new"), saying="No space left")
+    assert names_in(tmp_path) == []
+
+
+def test_demo_into_what_is_no_folder(tmp_path, instant):
+    (tmp_path / "file").touch()
+    assert_fails_in_one_line(run("demo", tmp_path / "file"), saying="is no folder")
+    assert_fails_in_one_line(run("demo", tmp_path / "none" / "new"), saying="there is no folder")
+    assert names_in(tmp_path) == ["file"]
+
+
+# --- in a process of its own ----------------------------------------------------------------
+
+
+def test_pipe_gets_the_result_and_nothing_else(picture):
+    """No progress, no warning of a library, no import of napari or Qt."""
+    code = (
+        "import atexit, sys; from napari_defocus.cli import main; "
+        "atexit.register(lambda: print(*{'napari', 'qtpy', 'PySide6'} & {*sys.modules}, end='')); "
+        "main()"
+    )
+    command = [sys.executable, "-c", code, "map", str(picture), "--json"]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert json.loads(result.stdout)["width"] == 96
+
+
+def test_ctrl_c_leaves_nothing_behind(picture):
+    code = (
+        "import signal, napari_defocus; from napari_defocus.cli import main; "
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "napari_defocus.label_blur_map = lambda *_, **__: signal.raise_signal(signal.SIGINT); "
+        "main()"
+    )
+    command = [sys.executable, "-c", code, "map", str(picture)]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert (result.returncode, result.stdout) == (130, "")
+    assert result.stderr == "napari-defocus: interrupted\n"
+    assert names_in(picture.parent) == ["seed.png"]

@@ -1,0 +1,90 @@
+import ctypes
+import os
+import sys
+import time
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import napari_defocus
+
+
+def has_display():
+    needs_one = sys.platform.startswith("linux")
+    return not needs_one or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _references_to_spare():
+    """Keep the interpreter alive under PySide6 6.12.0.
+
+    There, every Qt call that returns None, True or False gives back a reference that it never
+    took. Up to Python 3.11 these are counted, and at zero the process is aborted.
+    """
+    if sys.implementation.name == "cpython" and sys.version_info < (3, 12):
+        for constant in (None, True, False):
+            ctypes.c_ssize_t.from_address(id(constant)).value += 1 << 40
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    if item.get_closest_marker("display") is None or has_display():
+        return
+    reason = "needs a display: install Xvfb and pytest-xvfb, or run under xvfb-run"
+    if os.environ.get("CI"):
+        pytest.fail(reason, pytrace=False)
+    pytest.skip(reason)
+
+
+@pytest.fixture
+def texture():
+    return np.random.default_rng(1).uniform(0.1, 0.9, (96, 128)).astype(np.float32)
+
+
+@dataclass
+class StandIn:
+    """The method's three steps, at once and counted."""
+
+    radius: float = 2.5
+    noise_variance: float = 3e-5
+    estimations: list = field(default_factory=list)
+    labelings: list = field(default_factory=list)
+    segmentations: list = field(default_factory=list)
+
+    def estimate_candidates(self, image, *, progress, **arguments):
+        self.estimations.append({"image": image, **arguments})
+        progress("Estimating blur", 0.5)
+        return SimpleNamespace(image_shape=image.shape[:2], noise_variance=self.noise_variance)
+
+    def label_blur_map(self, candidates, image, *, progress, **arguments):
+        self.labelings.append(arguments)
+        return np.full(candidates.image_shape, self.radius, np.float32)
+
+    def segment_in_focus(self, candidates, image, *, progress, threshold, **arguments):
+        self.segmentations.append({"threshold": threshold, **arguments})
+        return np.full(candidates.image_shape, self.radius <= threshold, np.uint8)
+
+
+@pytest.fixture
+def method(monkeypatch):
+    stand_in = StandIn()
+    for name in ("estimate_candidates", "label_blur_map", "segment_in_focus"):
+        monkeypatch.setitem(vars(napari_defocus), name, getattr(stand_in, name))
+    return stand_in
+
+
+@pytest.fixture
+def endless_method(method, monkeypatch):
+    """A method whose estimation goes on until its progress callback ends it."""
+
+    def estimate_candidates(image, *, progress, **arguments):
+        method.estimations.append(image)
+        give_up = time.monotonic() + 30
+        while time.monotonic() < give_up:
+            progress("Estimating blur", 0.25)
+            time.sleep(0.01)
+
+    monkeypatch.setitem(vars(napari_defocus), "estimate_candidates", estimate_candidates)
+    return method

@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+
+from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.analysis import Analysis
+from napari_defocus.widgets.kept_candidates import KeptCandidates
+from napari_defocus.widgets.layers import shown_plane
+
+
+@pytest.fixture
+def layer(texture):
+    return ViewerModel().add_image(texture, name="leaf")
+
+
+@pytest.fixture
+def viewer():
+    return ViewerModel()
+
+
+def analysis(viewer, layer, *, threshold=None, blur_map=True, **estimation):
+    return Analysis(
+        plane=shown_plane(layer, viewer.dims),
+        estimation=MapSettings(**estimation),
+        mask=None if threshold is None else MaskSettings(threshold=threshold),
+        blur_map=blur_map,
+    )
+
+
+def test_another_threshold_does_not_estimate_again(viewer, layer, method):
+    kept = KeptCandidates()
+    [dim] = analysis(viewer, layer, threshold=2.0, blur_map=False).run(kept)
+    [lit] = analysis(viewer, layer, threshold=3.0, blur_map=False).run(kept)
+    assert len(method.estimations) == 1
+    assert (dim[0] == 0).all()
+    assert (lit[0] == 1).all()
+
+
+def test_mask_reuses_what_the_map_has_found(viewer, layer, method):
+    kept = KeptCandidates()
+    analysis(viewer, layer).run(kept)
+    analysis(viewer, layer, smoothness=3.0).run(kept)
+    analysis(viewer, layer, threshold=2.0, blur_map=False).run(kept)
+    assert len(method.estimations) == 1
+
+
+@pytest.mark.parametrize("changed", [{"max_radius": 5.0}, {"noise_variance": 1e-4}])
+def test_other_estimation_settings_estimate_again(viewer, layer, method, changed):
+    kept = KeptCandidates()
+    analysis(viewer, layer).run(kept)
+    analysis(viewer, layer, **changed).run(kept)
+    assert len(method.estimations) == 2
+
+
+def test_edited_picture_is_estimated_again(viewer, layer, method):
+    kept = KeptCandidates()
+    analysis(viewer, layer).run(kept)
+    layer.data[10, 10] = 0.0
+    analysis(viewer, layer).run(kept)
+    layer.data = np.flip(layer.data, axis=0)
+    analysis(viewer, layer).run(kept)
+    assert len(method.estimations) == 3
+
+
+def test_settings_reach_the_method(viewer, layer, method):
+    analysis(
+        viewer, layer, threshold=1.2, max_radius=5.0, noise_variance=2e-5, color_sigma=0.3
+    ).run(KeptCandidates())
+    [estimation] = method.estimations
+    assert estimation["psf"].max_radius == 5.0
+    assert estimation["noise_variance"] == 2e-5
+    assert method.labelings[0]["color_sigma"] == 0.3
+    assert method.labelings[0]["mode"] == MapSettings.mode
+    assert method.segmentations[0]["threshold"] == 1.2
+    assert method.segmentations[0]["smoothness"] == MaskSettings.smoothness
+
+
+def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, method):
+    data = np.random.default_rng(0).integers(0, 4096, (32, 48)).astype(np.uint16)
+    layer = viewer.add_image(data, contrast_limits=(0, 4095))
+    analysis(viewer, layer, threshold=2.0).run(KeptCandidates())
+    for call in (method.estimations[0], method.labelings[0], method.segmentations[0]):
+        assert call["intensity_range"] == (0.0, 4095.0)
+
+
+def test_progress_rises_from_0_to_1(viewer, layer, method):
+    seen = []
+    analysis(viewer, layer, threshold=2.0).run(
+        KeptCandidates(), lambda step, done: seen.append(done)
+    )
+    assert seen == sorted(seen)
+    assert 0.0 <= seen[0] <= seen[-1] <= 1.0

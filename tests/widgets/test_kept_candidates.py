@@ -1,0 +1,69 @@
+import gc
+import weakref
+
+import numpy as np
+from napari.layers import Image
+
+from napari_defocus.widgets.kept_candidates import KeptCandidates, fingerprint
+
+
+class Estimate:
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self):
+        self.calls += 1
+        return f"candidates {self.calls}"
+
+
+def an_image():
+    return Image(np.zeros((8, 8)))
+
+
+def test_same_layer_and_key_are_estimated_once():
+    kept, estimate, layer = KeptCandidates(), Estimate(), an_image()
+    assert kept.get(weakref.ref(layer), "a", estimate) == "candidates 1"
+    assert kept.get(weakref.ref(layer), "a", estimate) == "candidates 1"
+    assert kept.get(weakref.ref(layer), "b", estimate) == "candidates 2"
+    assert len(kept) == 1
+
+
+def test_no_layer_gets_the_candidates_of_another():
+    kept, estimate, layers = KeptCandidates(), Estimate(), [an_image(), an_image()]
+    found = [kept.get(weakref.ref(layer), "a", estimate) for layer in layers]
+    assert found == ["candidates 1", "candidates 2"]
+
+
+def test_only_the_last_few_layers_are_kept():
+    kept, estimate, layers = KeptCandidates(layers=2), Estimate(), [an_image() for _ in range(3)]
+    for layer in (layers[0], layers[1], layers[0], layers[2]):
+        kept.get(weakref.ref(layer), "a", estimate)
+    assert (len(kept), estimate.calls) == (2, 3)
+    kept.get(weakref.ref(layers[0]), "a", estimate)
+    assert estimate.calls == 3
+
+
+def test_deleted_layer_takes_its_candidates_with_it():
+    kept, layer = KeptCandidates(), an_image()
+    kept.get(weakref.ref(layer), "a", Estimate())
+    del layer
+    gc.collect()
+    assert len(kept) == 0
+
+
+def test_layer_that_is_gone_is_estimated_but_not_kept():
+    kept, layer = KeptCandidates(), an_image()
+    gone = weakref.ref(layer)
+    del layer
+    gc.collect()
+    assert kept.get(gone, "a", Estimate()) == "candidates 1"
+    assert len(kept) == 0
+
+
+def test_fingerprint_sees_one_changed_pixel_the_shape_and_the_dtype():
+    image = np.zeros((6, 8), np.uint8)
+    edited = image.copy()
+    edited[3, 5] = 1
+    prints = [fingerprint(a) for a in (image, edited, image.T.copy(), image.astype(bool))]
+    assert len(set(prints)) == 4
+    assert fingerprint(image.copy()) == prints[0]

@@ -1,0 +1,277 @@
+import dask.array as da
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.layers import Image, Labels
+
+from napari_defocus import __version__
+from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets import layers
+from napari_defocus.widgets.layers import (
+    METADATA_KEY,
+    NotAnalysableError,
+    blur_map_layer,
+    in_focus_layer,
+    show_results,
+    shown_plane,
+)
+
+PLACED = {
+    "scale": (0.5, 0.25),
+    "translate": (3.0, -4.0),
+    "rotate": 20.0,
+    "shear": (0.1,),
+    "affine": [[1.1, 0.2, 5.0], [0.0, 0.9, -2.0], [0.0, 0.0, 1.0]],
+    "units": ("um", "um"),
+    "axis_labels": ("y", "x"),
+}
+
+
+@pytest.fixture
+def viewer():
+    return ViewerModel()
+
+
+def plane_of(layer, viewer):
+    return shown_plane(layer, viewer.dims)
+
+
+def results_of(plane, radius=2.5, threshold=2.0, max_radius=8.0):
+    shape = plane.read().shape[:2]
+    estimation = MapSettings(max_radius=max_radius)
+    mask = MaskSettings(threshold=threshold)
+    return [
+        blur_map_layer(plane, np.full(shape, radius, np.float32), estimation, 3e-5),
+        in_focus_layer(plane, np.ones(shape, np.uint8), mask, estimation, 3e-5),
+    ]
+
+
+def corners_in_world(layer):
+    height, width = layer.data.shape[-2:]
+    lead = (0,) * (layer.ndim - 2)
+    return [layer.data_to_world((*lead, y, x)) for y in (0, height - 1) for x in (0, width - 1)]
+
+
+def test_results_lie_exactly_on_the_picture(viewer, texture):
+    picture = viewer.add_image(texture, name="leaf", **PLACED)
+    blur_map, mask = show_results(viewer, results_of(plane_of(picture, viewer)))
+    for layer in (blur_map, mask):
+        np.testing.assert_allclose(layer.scale, picture.scale)
+        np.testing.assert_allclose(layer.affine.affine_matrix, picture.affine.affine_matrix)
+        np.testing.assert_allclose(corners_in_world(layer), corners_in_world(picture))
+        assert layer.units == picture.units
+        assert layer.axis_labels == ("y", "x")
+
+
+def test_blur_map_has_one_colour_range_and_a_colour_bar(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    blur_map, _ = show_results(viewer, results_of(plane, radius=2.5, max_radius=6.0))
+    assert isinstance(blur_map, Image)
+    assert blur_map.name == "leaf blur (px)"
+    assert tuple(blur_map.contrast_limits) == (0.0, 6.0)
+    assert tuple(blur_map.contrast_limits_range) == (0.0, 6.0)
+    assert blur_map.colorbar.visible
+
+
+def test_mask_colours_what_is_in_focus_and_nothing_else(viewer, texture):
+    _, mask = show_results(viewer, results_of(plane_of(viewer.add_image(texture), viewer)))
+    assert isinstance(mask, Labels)
+    np.testing.assert_array_equal(mask.colormap.map(np.array([0, 1]))[:, 3], [0, 1])
+    assert 0.2 <= mask.opacity <= 0.6
+
+
+def test_results_say_how_they_were_made(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    blur_map, mask = show_results(viewer, results_of(plane, threshold=1.5))
+    made = blur_map.metadata[METADATA_KEY]
+    assert made["source"] == "leaf"
+    assert made["version"] == __version__
+    assert made["noise_variance"] == 3e-5
+    assert made["settings"]["max_radius"] == 8.0
+    assert made["settings"]["noise_variance"] is None
+    assert mask.metadata[METADATA_KEY]["settings"]["threshold"] == 1.5
+
+
+def test_second_run_updates_the_layers_and_keeps_the_users_colours(viewer, texture):
+    picture = viewer.add_image(texture, name="leaf", scale=(2, 2))
+    first = show_results(viewer, results_of(plane_of(picture, viewer)))
+    first[0].colormap, first[1].opacity = "magma", 0.9
+    picture.scale = (3, 3)
+    second = show_results(viewer, results_of(plane_of(picture, viewer), radius=4, max_radius=12))
+    assert second == first
+    assert len(viewer.layers) == 3
+    assert (first[0].data == 4).all()
+    assert tuple(first[0].contrast_limits) == (0.0, 12.0)
+    assert first[0].colormap.name == "magma"
+    assert first[1].opacity == 0.9
+    np.testing.assert_allclose(first[1].scale, (3, 3))
+
+
+def test_layer_of_somebody_else_is_never_overwritten(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    theirs = viewer.add_image(np.zeros((5, 5)), name="leaf blur (px)")
+    show_results(viewer, results_of(plane))
+    assert theirs.data.shape == (5, 5)
+    assert len(viewer.layers) == 4
+
+
+@pytest.mark.parametrize(
+    ("order", "rotate"),
+    [((0, 1, 2), 30), ((0, 2, 1), 30), ((1, 0, 2), 0), ((2, 0, 1), 0)],
+)
+def test_of_a_stack_the_plane_that_is_shown(viewer, order, rotate):
+    stack = np.random.default_rng(0).random((7, 32, 48))
+    layer = viewer.add_image(
+        stack, scale=(5, 0.5, 0.25), translate=(10, 1, 2), rotate=(0, 0, rotate), name="stack"
+    )
+    sliced = order[0]
+    viewer.dims.order = order
+    viewer.dims.set_point(sliced, layer.data_to_world((3, 3, 3))[sliced])
+    plane = plane_of(layer, viewer)
+    np.testing.assert_array_equal(plane.read(), stack.take(3, axis=sliced))
+    for result in show_results(viewer, results_of(plane)):
+        assert result.data.shape == tuple(np.where(np.arange(3) == sliced, 1, stack.shape))
+        for corner in np.ndindex(2, 2, 2):
+            on_stack = np.where(np.arange(3) == sliced, 3 + np.array(corner), corner)
+            np.testing.assert_allclose(result.data_to_world(corner), layer.data_to_world(on_stack))
+
+
+def test_next_plane_of_a_stack_moves_the_results(viewer):
+    layer = viewer.add_image(np.random.default_rng(0).random((7, 32, 48)), scale=(5, 1, 1))
+    viewer.dims.set_current_step(0, 2)
+    show_results(viewer, results_of(plane_of(layer, viewer)))
+    viewer.dims.set_current_step(0, 6)
+    blur_map, _ = show_results(viewer, results_of(plane_of(layer, viewer)))
+    assert len(viewer.layers) == 3
+    assert blur_map.translate[0] == 30
+
+
+def test_plane_follows_the_slider_of_the_world_not_of_the_layer(viewer):
+    viewer.add_image(np.zeros((20, 32, 48)), name="long")
+    short = viewer.add_image(
+        np.arange(5.0)[:, None, None] * np.ones((32, 48)), translate=(10, 0, 0)
+    )
+    viewer.dims.set_current_step(0, 12)
+    assert (plane_of(short, viewer).read() == 2).all()
+    viewer.dims.set_current_step(0, 3)
+    with pytest.raises(NotAnalysableError, match="no plane"):
+        plane_of(short, viewer)
+
+
+def test_stack_shown_as_a_volume_is_refused_but_a_picture_is_not(viewer, texture):
+    stack = viewer.add_image(np.zeros((5, 32, 48)))
+    picture = viewer.add_image(texture)
+    viewer.dims.ndisplay = 3
+    with pytest.raises(NotAnalysableError, match="volume"):
+        plane_of(stack, viewer)
+    assert plane_of(picture, viewer).read().shape == texture.shape
+
+
+def test_rgb_stack_gives_colour_planes(viewer):
+    stack = np.random.default_rng(0).integers(0, 255, (4, 32, 48, 3), np.uint8)
+    layer = viewer.add_image(stack)
+    viewer.dims.set_current_step(0, 1)
+    plane = plane_of(layer, viewer)
+    np.testing.assert_array_equal(plane.read(), stack[1])
+    [blur_map, _] = show_results(viewer, results_of(plane))
+    assert blur_map.data.shape == (1, 32, 48)
+
+
+def test_of_several_scales_the_finest(viewer):
+    fine = np.random.default_rng(0).random((64, 96))
+    layer = viewer.add_image([fine, fine[::2, ::2]], scale=(0.5, 0.5))
+    plane = plane_of(layer, viewer)
+    np.testing.assert_array_equal(plane.read(), fine)
+    blur_map, _ = show_results(viewer, results_of(plane))
+    assert blur_map.data.shape == fine.shape
+    np.testing.assert_allclose(blur_map.extent.world, layer.extent.world)
+
+
+def test_of_a_dask_stack_only_the_shown_plane_is_computed(viewer):
+    computed = []
+
+    def plane(block_info):
+        computed.append(block_info[None]["chunk-location"][0])
+        return np.full((1, 32, 48), computed[-1], np.uint16)
+
+    stack = da.map_blocks(plane, chunks=((1,) * 9, (32,), (48,)), dtype=np.uint16)
+    layer = viewer.add_image(stack, contrast_limits=(0, 10))
+    viewer.dims.set_current_step(0, 6)
+    lazy = plane_of(layer, viewer)
+    computed.clear()
+    assert (lazy.read() == 6).all()
+    assert set(computed) <= {6}
+
+
+def test_reading_does_not_hold_on_to_the_users_array(viewer, texture):
+    layer = viewer.add_image(texture)
+    image = plane_of(layer, viewer).read()
+    layer.data[:] = 0
+    assert image.max() > 0
+
+
+@pytest.mark.parametrize(
+    ("dtype", "values", "limits", "expected"),
+    [
+        (np.uint8, (0, 200), (0, 150), None),
+        (np.uint16, (0, 4095), (0, 4095), (0.0, 4095.0)),
+        (np.int16, (-100, 4000), (-200, 4095), (-200.0, 4095.0)),
+        (np.float32, (0, 1), (0.2, 0.8), None),
+        (np.float32, (0, 5000), (0, 6000), (0.0, 6000.0)),
+        (np.float64, (-1, 1), (-1, 1), (-1.0, 1.0)),
+    ],
+)
+def test_contrast_limits_speak_where_the_dtype_says_nothing(
+    viewer, dtype, values, limits, expected
+):
+    data = np.linspace(*values, 32 * 48).reshape(32, 48).astype(dtype)
+    plane = plane_of(viewer.add_image(data, contrast_limits=limits), viewer)
+    assert plane.intensity_range(plane.read()) == expected
+
+
+def test_dim_plane_of_a_bright_float_stack_has_the_stacks_range(viewer):
+    stack = np.ones((3, 32, 48)) * np.array([0.5, 10, 200])[:, None, None]
+    layer = viewer.add_image(stack)
+    viewer.dims.set_current_step(0, 0)
+    plane = plane_of(layer, viewer)
+    assert plane.intensity_range(plane.read()) == (0.5, 200.0)
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf])
+def test_pixels_without_a_value_are_refused_in_plain_words(viewer, texture, hole):
+    texture[3, 4] = hole
+    with pytest.raises(NotAnalysableError, match="without a value"):
+        plane_of(viewer.add_image(texture), viewer).read()
+
+
+def test_too_large_a_plane_is_refused_before_it_is_computed(viewer, monkeypatch):
+    monkeypatch.setattr(layers, "MAX_PIXELS", 1_000_000)
+    plane = plane_of(viewer.add_image(da.zeros((2000, 1000), dtype=np.uint8)), viewer)
+    with pytest.raises(NotAnalysableError, match="2 million pixels, more than 1 million"):
+        plane.read()
+
+
+def test_results_follow_a_picture_that_has_become_a_stack(viewer, texture):
+    picture = viewer.add_image(texture, name="leaf")
+    show_results(viewer, results_of(plane_of(picture, viewer)))
+    viewer.layers.remove(picture)
+    stack = viewer.add_image(np.stack([texture] * 4), name="leaf", scale=(5, 2, 2))
+    viewer.dims.set_current_step(0, 3)
+    blur_map, mask = show_results(viewer, results_of(plane_of(stack, viewer)))
+    assert len(viewer.layers) == 3
+    for layer in (blur_map, mask):
+        assert layer.data.shape == (1, *texture.shape)
+        np.testing.assert_allclose(layer.data_to_world((0, 0, 0)), (15, 0, 0))
+
+
+@pytest.mark.parametrize("scales", [1, 2])
+def test_plane_is_current_until_its_layer_goes_or_gets_other_data(viewer, texture, scales):
+    levels = [texture[::step, ::step] for step in (1, 2)][:scales]
+    layer = viewer.add_image(levels if scales > 1 else texture, multiscale=scales > 1)
+    plane = plane_of(layer, viewer)
+    assert plane.is_current(viewer.layers)
+    layer.data = [level.copy() for level in levels] if scales > 1 else texture.copy()
+    assert not plane.is_current(viewer.layers)
+    plane = plane_of(layer, viewer)
+    viewer.layers.remove(layer)
+    assert not plane.is_current(viewer.layers)

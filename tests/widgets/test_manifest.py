@@ -1,0 +1,86 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from npe2 import PluginManifest
+from npe2.manifest.utils import import_python_name
+
+import napari_defocus
+from napari_defocus.widgets.samples import ramp
+
+MANIFEST = PluginManifest.from_file(Path(napari_defocus.__file__).with_name("napari.yaml"))
+CONTRIBUTIONS = MANIFEST.contributions
+
+
+@pytest.fixture
+def viewer(npe2pm):
+    npe2pm.register(MANIFEST)
+    return ViewerModel()
+
+
+def test_manifest_is_the_one_napari_finds():
+    assert PluginManifest.from_distribution("napari-defocus").name == MANIFEST.name
+    MANIFEST.validate_imports()
+
+
+@pytest.mark.parametrize("command", CONTRIBUTIONS.commands, ids=lambda command: command.id)
+def test_every_command_can_be_imported(command):
+    assert callable(import_python_name(command.python_name))
+
+
+def test_every_widget_is_in_the_plugins_menu_and_in_the_layers_menu():
+    widgets = {widget.command for widget in CONTRIBUTIONS.widgets}
+    submenu = CONTRIBUTIONS.submenus[0]
+    assert submenu.label == "Defocus"
+    assert {item.command for item in CONTRIBUTIONS.menus[submenu.id]} == widgets
+    for menu in ("napari/layers/measure", "napari/layers/segment"):
+        assert [item.submenu for item in CONTRIBUTIONS.menus[menu]] == [submenu.id]
+
+
+@pytest.mark.parametrize(
+    ("sample", "shape"), [("dandelion", (562, 1000, 3)), ("brushes", (708, 900, 3))]
+)
+def test_photographs_open(viewer, sample, shape):
+    [layer] = viewer.open_sample("napari-defocus", sample)
+    assert layer.name == sample
+    assert layer.rgb
+    assert layer.data.shape == shape
+    assert layer.data.dtype == np.uint8
+
+
+def test_simulated_ramp_opens_with_its_true_map(viewer):
+    true_map, picture = viewer.open_sample("napari-defocus", "ramp")
+    assert picture.data.shape == true_map.data.shape == (300, 300)
+    assert true_map.data[0, 0] == pytest.approx(0.92)
+    assert true_map.data[299, 299] == pytest.approx(0.92 + 299 * 0.014)
+    assert tuple(true_map.contrast_limits) == (0.0, 8.0)
+    detail = np.abs(np.diff(picture.data, axis=1)).mean(axis=1)
+    assert detail[:30].mean() > 2 * detail[-30:].mean()
+
+
+def test_simulated_ramp_is_the_same_every_time(viewer):
+    _, first = viewer.open_sample("napari-defocus", "ramp")
+    _, second = viewer.open_sample("napari-defocus", "ramp")
+    np.testing.assert_array_equal(first.data, second.data)
+
+
+def test_ramp_rises_by_3_and_11_thousandths_of_a_pixel():
+    rows, columns = np.gradient(ramp().astype(float))
+    np.testing.assert_allclose(columns, 0.003, atol=1e-5)
+    np.testing.assert_allclose(rows, 0.011, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("module", "unwanted"),
+    [
+        ("napari_defocus", ("napari", "qtpy", "magicgui", "numba", "maxflow", "skimage")),
+        ("napari_defocus.widgets.analysis", ("qtpy.QtWidgets", "PySide6", "maxflow")),
+    ],
+)
+def test_import_stays_light(module, unwanted):
+    code = f"import sys, {module}; print(*(m for m in {unwanted} if m in sys.modules))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == []

@@ -1,0 +1,361 @@
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from napari.utils.notifications import notification_manager
+
+import napari_defocus
+from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets import panel
+from napari_defocus.widgets.blur_map import BlurMapWidget
+from napari_defocus.widgets.in_focus import InFocusWidget
+from napari_defocus.widgets.kept_candidates import KeptCandidates
+from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
+
+pytestmark = pytest.mark.display
+
+ALL = [BlurMapWidget, InFocusWidget, MapAndMaskWidget]
+
+
+@pytest.fixture(autouse=True)
+def _nothing_kept(monkeypatch):
+    monkeypatch.setattr(panel, "KEPT_CANDIDATES", KeptCandidates())
+
+
+@pytest.fixture
+def viewer():
+    return ViewerModel()
+
+
+@pytest.fixture
+def window(make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def messages():
+    notification_manager.records.clear()
+    return lambda: [record.message for record in notification_manager.records]
+
+
+@pytest.fixture
+def opened(viewer, qtbot):
+    def open_widget(widget_class):
+        widget = widget_class(viewer)
+        qtbot.addWidget(widget.native)
+        return widget
+
+    return open_widget
+
+
+@pytest.fixture
+def docked(window):
+    def dock(widget_class):
+        widget = widget_class(window)
+        window.window.add_dock_widget(widget)
+        return widget
+
+    return dock
+
+
+@pytest.fixture
+def finish(qtbot):
+    def run(widget, timeout=30_000):
+        running = widget.run()
+        assert running is not None
+        with qtbot.waitSignal(running.finished, timeout=timeout):
+            pass
+
+    return run
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+@pytest.mark.parametrize(
+    ("widget_class", "made"),
+    [
+        (BlurMapWidget, ["leaf blur (px)"]),
+        (InFocusWidget, ["leaf in focus"]),
+        (MapAndMaskWidget, ["leaf blur (px)", "leaf in focus"]),
+    ],
+)
+def test_widget_makes_its_layers(window, docked, finish, method, texture, widget_class, made):
+    window.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
+    finish(docked(widget_class))
+    assert names(window) == ["leaf", *made]
+    for layer in list(window.layers)[1:]:
+        assert tuple(layer.scale) == (2, 3)
+        assert [str(unit) for unit in layer.units] == ["micrometer", "micrometer"]
+        assert layer.axis_labels == ("y", "x")
+        assert layer.metadata["napari_defocus"]["noise_variance"] == method.noise_variance
+
+
+def test_colour_bar_of_the_map_is_shown(window, docked, finish, method, texture):
+    window.add_image(texture, name="leaf")
+    finish(docked(MapAndMaskWidget))
+    blur_map = window.layers["leaf blur (px)"]
+    assert blur_map.colorbar.visible
+    assert tuple(blur_map.contrast_limits) == (0.0, 8.0)
+
+
+@pytest.mark.parametrize("widget_class", ALL)
+def test_form_starts_with_the_defaults_of_the_method(viewer, opened, widget_class):
+    settings = opened(widget_class).settings
+    assert settings.map_settings() == MapSettings()
+    assert settings.mask_settings() in (None, MaskSettings())
+
+
+@pytest.mark.parametrize("widget_class", ALL)
+def test_every_field_explains_itself(viewer, opened, widget_class):
+    widget = opened(widget_class)
+    for field in (widget.image, *widget.settings.fields()):
+        assert len(field.tooltip) > 40
+
+
+def test_form_reaches_the_method(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(MapAndMaskWidget)
+    widget.settings.noise_variance.value = "1e-4"
+    widget.settings.max_radius.value = 5
+    widget.settings.threshold.value = 3
+    finish(widget)
+    assert method.estimations[0]["noise_variance"] == 1e-4
+    assert method.segmentations[0]["threshold"] == 3
+    assert tuple(viewer.layers["leaf blur (px)"].contrast_limits) == (0.0, 5.0)
+
+
+def test_second_threshold_does_not_estimate_again(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(InFocusWidget)
+    finish(widget)
+    assert viewer.layers["leaf in focus"].data.max() == 0
+    widget.settings.threshold.value = 3
+    finish(widget)
+    assert viewer.layers["leaf in focus"].data.min() == 1
+    assert len(method.estimations) == 1
+    assert len(viewer.layers) == 2
+
+
+def test_mask_reuses_the_estimation_of_the_map_widget(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    finish(opened(BlurMapWidget))
+    finish(opened(InFocusWidget))
+    assert len(method.estimations) == 1
+
+
+def test_cancel_acts_within_a_second_and_leaves_no_layer(
+    viewer, opened, qtbot, endless_method, texture, messages
+):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(MapAndMaskWidget)
+    run = widget.run()
+    qtbot.waitUntil(lambda: widget.status.value == "Estimating blur")
+    assert not widget.run_button.enabled
+    with qtbot.waitSignal(run.finished, timeout=1000):
+        widget.cancel_button.native.click()
+    assert names(viewer) == ["leaf"]
+    assert widget.run_button.enabled
+    assert not widget.cancel_button.enabled
+    assert messages() == []
+
+
+def test_cancel_in_naparis_activity_list_acts_too(window, docked, qtbot, endless_method, texture):
+    window.add_image(texture, name="leaf")
+    widget = docked(BlurMapWidget)
+    run = widget.run()
+    qtbot.waitUntil(lambda: bool(endless_method.estimations))
+    with qtbot.waitSignal(run.finished, timeout=1000):
+        run.bar.cancel()
+    assert names(window) == ["leaf"]
+
+
+def test_run_while_one_runs_is_the_one_that_runs(viewer, opened, qtbot, endless_method, texture):
+    viewer.add_image(texture)
+    widget = opened(BlurMapWidget)
+    run = widget.run()
+    assert widget.run() is run
+    with qtbot.waitSignal(run.finished, timeout=1000):
+        widget.cancel()
+    assert len(endless_method.estimations) <= 1
+
+
+def test_removed_layer_ends_its_run_without_a_word(
+    viewer, opened, qtbot, endless_method, texture, messages
+):
+    viewer.add_image(texture, name="leaf")
+    viewer.add_image(texture, name="other")
+    widget = opened(BlurMapWidget)
+    widget.image.value = viewer.layers["leaf"]
+    run = widget.run()
+    qtbot.waitUntil(lambda: bool(endless_method.estimations))
+    with qtbot.waitSignal(run.finished, timeout=1000):
+        viewer.layers.remove("leaf")
+    assert names(viewer) == ["other"]
+    assert messages() == []
+
+
+def test_deleted_layer_takes_its_candidates_with_it(window, docked, finish, method, texture, qtbot):
+    window.add_image(texture, name="leaf")
+    finish(docked(BlurMapWidget))
+    assert len(panel.KEPT_CANDIDATES) == 1
+    window.layers.clear()
+    qtbot.waitUntil(lambda: collected() and len(panel.KEPT_CANDIDATES) == 0)
+
+
+def collected():
+    import gc
+
+    gc.collect()
+    return True
+
+
+def test_picture_replaced_while_it_runs_gets_no_result(
+    viewer, opened, qtbot, method, texture, messages, monkeypatch
+):
+    layer = viewer.add_image(texture, name="leaf")
+    go_on = []
+
+    def estimate_candidates(image, *, progress, **arguments):
+        while not go_on:
+            progress("Estimating blur", 0.2)
+            time.sleep(0.01)
+        return method.estimate_candidates(image, progress=progress, **arguments)
+
+    monkeypatch.setitem(vars(napari_defocus), "estimate_candidates", estimate_candidates)
+    widget = opened(BlurMapWidget)
+    run = widget.run()
+    layer.data = texture[:50].copy()
+    with qtbot.waitSignal(run.finished):
+        go_on.append(True)
+    assert names(viewer) == ["leaf"]
+    assert "changed while" in messages()[0]
+
+
+def test_no_image_is_said_in_plain_words(viewer, opened, messages):
+    viewer.add_labels(np.zeros((20, 20), int))
+    assert opened(BlurMapWidget).run() is None
+    assert messages() == ["There is no image to analyse. Open an image first."]
+
+
+def test_nan_is_said_in_plain_words(viewer, opened, finish, method, texture, messages):
+    texture[3, 4] = np.nan
+    viewer.add_image(texture, name="leaf")
+    finish(opened(BlurMapWidget))
+    [message] = messages()
+    assert message.startswith("Cannot analyse “leaf”: it has pixels without a value (NaN")
+    assert names(viewer) == ["leaf"]
+
+
+def test_too_small_a_picture_is_said_in_plain_words(viewer, opened, finish, messages):
+    viewer.add_image(np.zeros((2, 40), np.uint8), name="line")
+    finish(opened(BlurMapWidget))
+    [message] = messages()
+    assert message.startswith("Cannot analyse “line”:")
+    assert "at least 3 px" in message
+
+
+def test_volume_rendering_is_said_in_plain_words(viewer, opened, messages):
+    viewer.add_image(np.zeros((5, 40, 40), np.uint8), name="stack")
+    viewer.dims.ndisplay = 3
+    assert opened(BlurMapWidget).run() is None
+    assert "Switch the viewer to 2-D" in messages()[0]
+
+
+def test_noise_variance_that_is_no_number_is_said_in_plain_words(viewer, opened, texture, messages):
+    viewer.add_image(texture)
+    widget = opened(BlurMapWidget)
+    widget.settings.noise_variance.value = "low"
+    assert widget.run() is None
+    assert "Type a number such as 1e-5" in messages()[0]
+
+
+def test_defect_of_the_method_is_reported_once_and_the_widget_goes_on(
+    viewer, opened, finish, method, texture, messages, monkeypatch
+):
+    def broken(image, **arguments):
+        raise RuntimeError("a defect")
+
+    viewer.add_image(texture, name="leaf")
+    widget = opened(BlurMapWidget)
+    with monkeypatch.context() as patched:
+        patched.setitem(vars(napari_defocus), "estimate_candidates", broken)
+        finish(widget)
+    assert messages() == ["a defect"]
+    finish(widget)
+    assert names(viewer) == ["leaf", "leaf blur (px)"]
+
+
+def test_active_image_is_chosen_and_results_are_not_offered(
+    window, docked, finish, method, texture
+):
+    window.add_image(texture, name="first")
+    window.add_image(texture, name="second")
+    window.layers.selection.active = window.layers["second"]
+    widget = docked(BlurMapWidget)
+    assert widget.image.value.name == "second"
+    finish(widget)
+    assert [layer.name for layer in widget.image.choices] == ["first", "second"]
+    assert widget.image.value.name == "second"
+
+
+def test_closing_the_widget_ends_its_run(window, docked, qtbot, endless_method, texture, messages):
+    window.add_image(texture, name="leaf")
+    widget = docked(BlurMapWidget)
+    run = widget.run()
+    qtbot.waitUntil(lambda: bool(endless_method.estimations))
+    with qtbot.waitSignal(run.finished, timeout=1000):
+        window.window.remove_dock_widget("all")
+        widget.native.deleteLater()
+    window.layers.remove("leaf")
+    assert messages() == []
+
+
+def test_widgets_are_in_the_menus(window):
+    for menu in (window.window.layers_menu, window.window.plugins_menu):
+        shown = list(texts(menu))
+        for name in ("Blur map", "In focus", "Blur map and in focus"):
+            assert f"{name} (Defocus)" in shown
+
+
+def texts(menu):
+    for action in menu.actions():
+        yield action.text()
+        if action.menu():
+            yield from texts(action.menu())
+
+
+CLOSED_WHILE_RUNNING = """
+import time
+import napari, napari_defocus, numpy as np
+from qtpy.QtCore import QTimer
+
+def estimate_candidates(image, *, progress, **arguments):
+    while True:
+        progress("Estimating blur", 0.3)
+        time.sleep(0.01)
+
+napari_defocus.estimate_candidates = estimate_candidates
+viewer = napari.Viewer(show=False)
+viewer.add_image(np.random.rand(64, 64))
+dock, widget = viewer.window.add_plugin_dock_widget("napari-defocus", "Blur map")
+QTimer.singleShot(500, lambda: print("running", widget.run() is not None, flush=True))
+QTimer.singleShot(1500, viewer.close)
+QTimer.singleShot(2500, lambda: napari.qt.get_qapp().quit())
+napari.run(force=True)
+print("closed")
+"""
+
+
+def test_closing_the_viewer_while_it_runs_is_quiet():
+    done = subprocess.run(
+        [sys.executable, "-c", CLOSED_WHILE_RUNNING], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.split() == ["running", "True", "closed"]
+    assert "Traceback" not in done.stderr
+    assert "Error" not in done.stderr
+    assert done.returncode == 0

@@ -1,0 +1,64 @@
+"""The widgets with the real method behind them."""
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+from skimage.data import gravel
+
+from napari_defocus import simulate_defocus
+from napari_defocus.widgets import panel
+from napari_defocus.widgets.kept_candidates import KeptCandidates
+from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
+
+pytestmark = pytest.mark.display
+
+
+@pytest.fixture
+def viewer(monkeypatch):
+    monkeypatch.setattr(panel, "KEPT_CANDIDATES", KeptCandidates())
+    return ViewerModel()
+
+
+@pytest.fixture
+def run(viewer, qtbot):
+    def start():
+        widget = MapAndMaskWidget(viewer)
+        qtbot.addWidget(widget.native)
+        return widget, widget.run()
+
+    return start
+
+
+def half_blurred(height, width):
+    true_map = np.where(np.arange(width) < width // 2, 0.5, 4.0) * np.ones((height, 1))
+    sharp = np.tile(gravel(), (1 + height // 512, 1 + width // 512))[:height, :width]
+    return simulate_defocus(sharp, true_map, noise_variance=1e-6, rng=0)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint8, np.uint16])
+def test_sharp_half_and_blurred_half_are_told_apart(viewer, run, qtbot, dtype):
+    top = {np.float32: 1.0, np.uint8: 255, np.uint16: 4095}[dtype]
+    picture = (np.clip(half_blurred(128, 160), 0, 1) * top).astype(dtype)
+    viewer.add_image(picture, name="halves", scale=(0.5, 0.5), contrast_limits=(0, top))
+    with qtbot.waitSignal(run()[1].finished, timeout=120_000):
+        pass
+    blur_map, mask = viewer.layers["halves blur (px)"], viewer.layers["halves in focus"]
+    assert np.median(blur_map.data[:, 20:60]) < 1.5
+    assert np.median(blur_map.data[:, 100:140]) == pytest.approx(4.0, abs=0.4)
+    assert mask.data[:, 20:60].mean() > 0.9
+    assert mask.data[:, 100:140].mean() < 0.1
+    assert tuple(mask.scale) == (0.5, 0.5)
+
+
+@pytest.mark.parametrize("step", ["Estimating blur", "Making the map coherent"])
+def test_cancel_acts_within_a_second_in_every_step(viewer, run, qtbot, step):
+    viewer.add_image(half_blurred(64, 64), name="what compiles everything")
+    with qtbot.waitSignal(run()[1].finished, timeout=120_000):
+        pass
+    viewer.layers.clear()
+    viewer.add_image(half_blurred(480, 640), name="large")
+    widget, running = run()
+    qtbot.waitUntil(lambda: widget.status.value == step, timeout=60_000)
+    with qtbot.waitSignal(running.finished, timeout=1000):
+        widget.cancel()
+    assert [layer.name for layer in viewer.layers] == ["large"]
