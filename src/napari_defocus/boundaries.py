@@ -23,10 +23,8 @@ from scipy.ndimage import (
 from napari_defocus.graphcut import STEPS, Edges, fuse, join_blocks
 
 Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
+Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
-
-_REACHES = (6, 3, 1)
 
 
 @dataclass(frozen=True)
@@ -65,6 +63,11 @@ class Blocks:
         """Number of pixels of each block: (R, C)."""
         area = np.outer(np.bincount(self.row_of_pixel), np.bincount(self.column_of_pixel))
         return area.astype(np.float32)
+
+    @property
+    def side(self) -> int:
+        """Height of a block, in px."""
+        return int(np.bincount(self.row_of_pixel).max())
 
     @property
     def positions(self) -> tuple[Float64, Float64]:
@@ -128,6 +131,7 @@ def label_pixels(
     smoothness: float,
     color_sigma: float,
     jump: int,
+    reach: int,
 ) -> Labels:
     """Label pixels on their own wherever neighbouring blocks differ by a jump.
 
@@ -143,25 +147,28 @@ def label_pixels(
         lambda_0 and sigma_lambda of (16).
     jump : int
         The smallest difference of labels that counts as a discontinuity.
+    reach : int
+        How far, in px, a boundary may move at once.
 
     Returns
     -------
     (H, W) int32 ndarray
     """
     pixels = blocks.spread(labels)
-    differences = maximum_filter(labels, 3) - minimum_filter(labels, 3)
-    free = blocks.spread(binary_dilation(differences >= jump))
-    if not free.any():
+    beside_jump = maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
+    if not beside_jump.any():
         return pixels
+    free = blocks.spread(binary_dilation(beside_jump, iterations=-(-reach // blocks.side)))
     place = np.flatnonzero(binary_dilation(free, np.ones((3, 3))))
     edges = _pixel_edges(color, place, smoothness, color_sigma)
     rows, columns = blocks.positions
-    for reach in _REACHES:
+    while reach > 0:
         for offer in (grey_erosion, grey_dilation):
             proposal = np.where(free, offer(pixels, 2 * reach + 1), pixels)
             now, new = pixels.ravel()[place], proposal.ravel()[place].astype(np.int32)
             change = _interpolated_change(cost, now, new, place, rows, columns)
             pixels.flat[place] = fuse(now, new, change, edges)
+        reach //= 2
     return pixels
 
 

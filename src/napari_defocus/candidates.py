@@ -17,7 +17,7 @@ from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likeliho
 from napari_defocus.noise import evidence_noise_variance
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily
-from napari_defocus.settings import MapSettings, Mode, Spectra
+from napari_defocus.settings import MapSettings, Mode, Spectra, check_mode, check_noise_variance
 from napari_defocus.spectrum import LABEL_STEP, SpectrumTable, label_scales, spectrum_table
 
 Float32 = NDArray[np.float32]
@@ -57,6 +57,8 @@ class BlurCandidates:
         Of the luminance, intensities in [0, 1]; given or found.
     window, stride : int
         N and the distance between windows, in px.
+    mode : {"curve", "paper"}
+        Which likelihood it is, see `estimate_candidates`.
     """
 
     radii: Float32
@@ -70,6 +72,7 @@ class BlurCandidates:
     noise_variance: float
     window: int
     stride: int
+    mode: Mode
 
     def log_likelihood_at(self, row: float, column: float) -> tuple[Float64, Float64]:
         """Return the likelihood curve at one pixel (the paper's Fig. 6).
@@ -222,6 +225,7 @@ def estimate_candidates(
         float(noise_variance),
         window,
         stride,
+        mode,
     )
 
 
@@ -235,10 +239,8 @@ def _check_settings(
 ) -> None:
     if not isinstance(psf, PSFFamily):
         raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
-    if noise_variance is not None and not (np.isfinite(noise_variance) and noise_variance >= 0):
-        raise ValueError(
-            f"noise_variance is {noise_variance}; it takes a finite number from 0 up, or None"
-        )
+    check_noise_variance(noise_variance)
+    check_mode(mode)
     if window != int(window) or window % 2 == 0 or window < MIN_WINDOW:
         raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
     if stride != int(stride) or not 1 <= stride <= window:
@@ -248,8 +250,6 @@ def _check_settings(
             f"psf has a largest scale of {psf.max_scale} px; "
             f"a window of {window} px takes at most {window / 2} px"
         )
-    if mode not in get_args(Mode):
-        raise ValueError(f"mode is {mode!r}; it takes one of {get_args(Mode)}")
     if spectra not in get_args(Spectra):
         raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
 

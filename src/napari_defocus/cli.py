@@ -18,7 +18,7 @@ import typer
 
 import napari_defocus
 from napari_defocus.progress import Progress, silent, within
-from napari_defocus.settings import MapSettings, MaskSettings, Mode
+from napari_defocus.settings import MapSettings, MaskSettings, Mode, check_threshold
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -162,18 +162,18 @@ def map_picture(
     quiet: Quiet = False,
 ) -> None:
     """Measure the blur radius, in px, at every pixel of IMAGE."""
-    settings = MapSettings(
-        noise_variance=noise_variance,
-        max_radius=max_radius,
-        smoothness=smoothness,
-        color_sigma=color_sigma,
-        mode=mode,
-    )
     outputs = output or [_beside(image, "-blur.tif"), _beside(image, "-blur.png")]
 
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
+        settings = MapSettings(
+            noise_variance=noise_variance,
+            max_radius=max_radius,
+            smoothness=smoothness,
+            color_sigma=color_sigma,
+            mode=mode,
+        )
         _check_endings(outputs, ".tif", ".tiff", ".png")
         picture = files.read_picture(image)
         files.check_results(outputs, force=force, source=image)
@@ -194,6 +194,7 @@ def segment_picture(
     max_radius: MaxRadius = MapSettings.max_radius,
     smoothness: MaskSmoothness = MaskSettings.smoothness,
     color_sigma: ColorSigma = MaskSettings.color_sigma,
+    mode: ModeOption = MapSettings.mode,
     intensity_range: IntensityRange = None,
     output: MaskOutput = None,
     overlay: OverlayOutput = None,
@@ -202,10 +203,6 @@ def segment_picture(
     quiet: Quiet = False,
 ) -> None:
     """Find what is in focus in IMAGE."""
-    settings = MapSettings(noise_variance=noise_variance, max_radius=max_radius)
-    mask_settings = MaskSettings(
-        threshold=threshold, smoothness=smoothness, color_sigma=color_sigma
-    )
     if output is None and overlay is None:
         output, overlay = _beside(image, "-mask.png"), _beside(image, "-overlay.png")
     outputs = [path for path in (output, overlay) if path is not None]
@@ -213,6 +210,11 @@ def segment_picture(
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
+        settings = MapSettings(noise_variance=noise_variance, max_radius=max_radius, mode=mode)
+        mask_settings = MaskSettings(
+            threshold=threshold, smoothness=smoothness, color_sigma=color_sigma
+        )
+        check_threshold(threshold, max_radius)
         _check_endings(outputs, ".png")
         picture = files.read_picture(image)
         files.check_results(outputs, force=force, source=image)
@@ -385,6 +387,7 @@ def _candidates(
         noise_variance=settings.noise_variance,
         window=settings.window,
         stride=settings.stride,
+        mode=settings.mode,
         intensity_range=intensity_range,
         progress=progress,
     )
@@ -421,6 +424,7 @@ def _mask(
         threshold=settings.threshold,
         smoothness=settings.smoothness,
         color_sigma=settings.color_sigma,
+        mode=candidates.mode,
         intensity_range=intensity_range,
         progress=progress,
     )

@@ -80,14 +80,14 @@ def frequencies(window: int) -> NDArray[np.int64]:
     return np.array(pairs)
 
 
-def window_centers(length: int, stride: int) -> NDArray[np.float64]:
+def window_centers(length: int, stride: int) -> NDArray[np.floating]:
     """Return the centres of the analysed windows along one axis, in px, symmetric in it."""
     count = -(-length // stride)
     offset = np.arange(count, dtype=np.float64) - (count - 1) / 2
     return (length - 1) / 2 + offset * stride
 
 
-def within_picture(centers: NDArray[np.float64], length: int, window: int) -> NDArray[np.float64]:
+def within_picture(centers: NDArray[np.floating], length: int, window: int) -> NDArray[np.floating]:
     """Move windows that reach over the border inside, to the nearest place where they fit."""
     fraction = centers[0] % 1
     margin = (window - 1) // 2 + fraction
@@ -129,8 +129,8 @@ def gradients(luminance: Float32, opaque: NDArray[np.bool_] | None, window: int)
 
 def local_power(
     gradient: Gradients,
-    rows: NDArray[np.float64],
-    columns: NDArray[np.float64],
+    rows: NDArray[np.floating],
+    columns: NDArray[np.floating],
     window: int,
 ) -> Float32:
     """Compute |g_i|^2 of (4) for a lattice of windows.

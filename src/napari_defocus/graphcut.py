@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from napari_defocus.progress import Progress, silent, within
 
 Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
+Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
 
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))

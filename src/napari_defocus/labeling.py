@@ -8,8 +8,6 @@ picture's edges, and between labels that belong together the map is interpolated
 
 from __future__ import annotations
 
-from typing import get_args
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,7 +18,7 @@ from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
-from napari_defocus.settings import MapSettings, Mode
+from napari_defocus.settings import MapSettings, Mode, check_mode, check_weights
 from napari_defocus.spectrum import LABEL_STEP
 
 Float32 = NDArray[np.float32]
@@ -31,24 +29,32 @@ KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e
 LIKELIHOOD_FLOOR = 1e-24
 """The artificial likelihood of scales that no candidate reaches, instead of 0."""
 
-_CURVE_DEPTH = 15.0
-_CURVE_WEIGHT = 12.0
+_CURVE_DEPTH = np.float32(15)
+_CURVE_WEIGHT = np.float32(12)
 _JUMP = 4
+_REACH = 6
 
 
 def data_term(candidates: BlurCandidates, mode: Mode) -> Float32:
     """Return D of (14): the cost of each of `candidates.scales` at each window, (R, C, L).
 
-    "paper" takes -log of the artificial likelihood. "curve" takes the whole curve,
-    12 min(max log p - log p(r), 15): it keeps what a broad or shallow maximum says, and its
-    depth is limited because no window is exactly what the model says. A window that stands
-    for n places along the border is not n windows; it is weighted by 1 / sqrt(n).
+    "paper" takes -log of the artificial likelihood, "curve" 12 times the limited depth.
     """
     if mode == "paper":
         return -np.log(artificial_likelihood(candidates)).astype(np.float32)
+    return _CURVE_WEIGHT * limited_depth(candidates)
+
+
+def limited_depth(candidates: BlurCandidates) -> Float32:
+    """Return how far each scale lies below the best, min(max log p - log p(r), 15): (R, C, L).
+
+    The whole curve keeps what a broad or shallow maximum says; its depth is limited because no
+    window is exactly what the model says. A window that stands for n places along the border is
+    not n windows; it is weighted by 1 / sqrt(n).
+    """
     depth = candidates.curve.max(axis=2, keepdims=True) - candidates.curve
-    weight = _CURVE_WEIGHT / np.sqrt(_places_of_window(candidates))
-    return weight[..., None].astype(np.float32) * np.minimum(depth, np.float32(_CURVE_DEPTH))
+    weight = 1 / np.sqrt(_places_of_window(candidates))
+    return weight[..., None].astype(np.float32) * np.minimum(depth, _CURVE_DEPTH)
 
 
 def _places_of_window(candidates: BlurCandidates) -> NDArray[np.float64]:
@@ -143,8 +149,7 @@ def label_blur_map(
     3.0
     """
     check_weights(smoothness, color_sigma)
-    if mode not in get_args(Mode):
-        raise ValueError(f"mode is {mode!r}; it takes one of {get_args(Mode)}")
+    check_mode(mode)
     picture = picture_of(candidates, image, intensity_range)
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = data_term(candidates, mode)
@@ -161,6 +166,7 @@ def label_blur_map(
         smoothness=smoothness,
         color_sigma=color_sigma,
         jump=_JUMP,
+        reach=_REACH,
     )
     progress("Following the picture's edges", 1.0)
     return np.float32(LABEL_STEP) * interpolate_labels(labels, pixels, blocks, _JUMP)
@@ -247,11 +253,3 @@ def picture_of(
             f"picture of {candidates.image_shape[0]} x {candidates.image_shape[1]} px"
         )
     return picture
-
-
-def check_weights(smoothness: float, color_sigma: float) -> None:
-    """Check the parameters of (16)."""
-    if not (np.isfinite(smoothness) and smoothness >= 0):
-        raise ValueError(f"smoothness is {smoothness}; it takes a finite number from 0 up")
-    if not (np.isfinite(color_sigma) and color_sigma > 0):
-        raise ValueError(f"color_sigma is {color_sigma}; it takes a finite number above 0")

@@ -153,7 +153,7 @@ def _next_strength(q: Float32, a: Float32, s: float) -> np.float32:
 
 
 @njit(cache=True, fastmath=True, nogil=True, inline="always")
-def _deviance(q: Float32, a: Float32, s: float) -> float:
+def _deviance(q: Float32, a: Float32, s: float) -> np.floating:
     """Sum of q / (1 + s a) + log(1 + s a); logarithms of products are cheaper than of factors."""
     total = np.float32(0)
     logarithm = 0.0

@@ -8,11 +8,20 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.boundaries import Blocks, label_pixels
 from napari_defocus.candidates import BlurCandidates
 from napari_defocus.graphcut import minimize_energy
-from napari_defocus.labeling import check_weights, data_term, picture_of
+from napari_defocus.labeling import data_term, limited_depth, picture_of
 from napari_defocus.progress import Progress, silent, within
-from napari_defocus.settings import MapSettings, MaskSettings, Mode
+from napari_defocus.settings import (
+    MapSettings,
+    MaskSettings,
+    Mode,
+    check_mode,
+    check_threshold,
+    check_weights,
+)
 
 Float32 = NDArray[np.float32]
+
+_CURVE_WEIGHT = np.float32(4)
 
 
 def segment_in_focus(
@@ -75,11 +84,8 @@ def segment_in_focus(
     0
     """
     check_weights(smoothness, color_sigma)
-    if not 0 <= threshold < candidates.scales[-1]:
-        raise ValueError(
-            f"threshold is {threshold}; it takes a scale from 0 to below "
-            f"{candidates.scales[-1]:g} px, the largest that was looked for"
-        )
+    check_mode(mode)
+    check_threshold(threshold, float(candidates.scales[-1]))
     picture = picture_of(candidates, image, intensity_range)
     step = "Separating focus from blur"
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
@@ -97,13 +103,22 @@ def segment_in_focus(
         smoothness=smoothness,
         color_sigma=color_sigma,
         jump=1,
+        reach=candidates.window // 2,
     )
     progress(step, 1.0)
     return mask.astype(np.uint8)
 
 
 def focus_cost(candidates: BlurCandidates, threshold: float, mode: Mode) -> Float32:
-    """Return D of (18) at each window, blurred and in focus: (R, C, 2)."""
-    cost = data_term(candidates, mode)
+    """Return D of (18) at each window, blurred and in focus: (R, C, 2).
+
+    "curve" takes 4 times the limited depth: at most 60, where the paper's artificial likelihood
+    costs at most 55, so that the paper's smoothness goes with both.
+    """
+    cost = (
+        data_term(candidates, mode)
+        if mode == "paper"
+        else _CURVE_WEIGHT * limited_depth(candidates)
+    )
     sharp = candidates.scales <= threshold + 1e-9
     return np.stack([cost[..., ~sharp].min(axis=2), cost[..., sharp].min(axis=2)], axis=2)

@@ -1,7 +1,8 @@
 """Every default of the method, once: functions, terminal and widgets all read them here."""
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 Mode = Literal["curve", "paper"]
 Spectra = Literal["exact", "fitted"]
@@ -39,6 +40,12 @@ class MapSettings:
     color_sigma: float = 0.1
     mode: Mode = "curve"
 
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_noise_variance(self.noise_variance)
+        check_weights(self.smoothness, self.color_sigma)
+        check_mode(self.mode)
+
 
 @dataclass(frozen=True, kw_only=True)
 class MaskSettings:
@@ -57,3 +64,39 @@ class MaskSettings:
     threshold: float = 2.0
     smoothness: float = 1000.0
     color_sigma: float = 0.04
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_threshold(self.threshold, math.inf)
+        check_weights(self.smoothness, self.color_sigma)
+
+
+def check_noise_variance(noise_variance: float | None) -> None:
+    """Check the noise variance of an estimation; None finds it from the picture."""
+    if noise_variance is not None and not (math.isfinite(noise_variance) and noise_variance >= 0):
+        raise ValueError(
+            f"noise_variance is {noise_variance}; it takes a finite number from 0 up, or None"
+        )
+
+
+def check_weights(smoothness: float, color_sigma: float) -> None:
+    """Check the parameters of (16)."""
+    if not (math.isfinite(smoothness) and smoothness >= 0):
+        raise ValueError(f"smoothness is {smoothness}; it takes a finite number from 0 up")
+    if not (math.isfinite(color_sigma) and color_sigma > 0):
+        raise ValueError(f"color_sigma is {color_sigma}; it takes a finite number above 0")
+
+
+def check_mode(mode: str) -> None:
+    """Check the name of a mode."""
+    if mode not in get_args(Mode):
+        raise ValueError(f"mode is {mode!r}; it takes one of {get_args(Mode)}")
+
+
+def check_threshold(threshold: float, max_scale: float) -> None:
+    """Check tau of (18) against the largest scale that is looked for, in px."""
+    if not 0 <= threshold < max_scale:
+        raise ValueError(
+            f"threshold is {threshold}; it takes a scale from 0 to below {max_scale:g} px, "
+            f"the largest that is looked for"
+        )

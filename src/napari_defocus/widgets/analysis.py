@@ -9,7 +9,7 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.progress import Progress, silent, within
-from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings, check_threshold
 from napari_defocus.widgets.kept_candidates import KeptCandidates, fingerprint
 from napari_defocus.widgets.layers import Plane, blur_map_layer, in_focus_layer
 
@@ -39,6 +39,11 @@ class Analysis:
     estimation: MapSettings
     mask: MaskSettings | None = None
     blur_map: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings before any work is done with them."""
+        if self.mask is not None:
+            check_threshold(self.mask.threshold, self.estimation.max_radius)
 
     def run(self, kept: KeptCandidates, progress: Progress = silent) -> list[LayerDataTuple]:
         """Return the wanted result layers.
@@ -76,6 +81,7 @@ class Analysis:
             "noise_variance": self.estimation.noise_variance,
             "window": self.estimation.window,
             "stride": self.estimation.stride,
+            "mode": self.estimation.mode,
             "intensity_range": span,
         }
 
@@ -120,6 +126,7 @@ class Analysis:
             threshold=self.mask.threshold,
             smoothness=self.mask.smoothness,
             color_sigma=self.mask.color_sigma,
+            mode=self.estimation.mode,
             intensity_range=span,
             progress=progress,
         )

@@ -1,0 +1,52 @@
+"""Sharp pictures to blur, and maps of blur to blur them with: what the benchmarks share."""
+
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+import skimage.data
+from skimage.transform import resize
+
+SIDE = 300
+SHIPPED = ("astronaut", "brick", "camera", "chelsea", "coffee", "grass", "gravel")
+
+
+def sharp_pictures(folder: Path) -> dict[str, np.ndarray]:
+    """Read the middle 300 x 300 px of every picture of a folder.
+
+    Without the folder, take pictures that scikit-image ships, scaled down so that they are
+    sharp at the scale of a pixel.
+    """
+    paths = sorted(folder.glob("*.png")) + sorted(folder.glob("*.jpg"))
+    if paths:
+        return {path.stem: middle(imageio.imread(path)[..., :3]) for path in paths}
+    print(f"{folder} holds no pictures; taking those of scikit-image")
+    return {name: middle(halved(getattr(skimage.data, name)())) for name in SHIPPED}
+
+
+def halved(picture: np.ndarray) -> np.ndarray:
+    """Scale down by 2, or by less if a side would end below 300 px."""
+    factor = max(0.5, SIDE / min(picture.shape[:2]))
+    shape = [max(SIDE, round(length * factor)) for length in picture.shape[:2]]
+    return resize(picture, (*shape, *picture.shape[2:]), anti_aliasing=True)
+
+
+def middle(picture: np.ndarray, side: int = SIDE) -> np.ndarray:
+    top, left = ((length - side) // 2 for length in picture.shape[:2])
+    return picture[top : top + side, left : left + side]
+
+
+def ramp(side: int = SIDE) -> np.ndarray:
+    """0.92 + 0.003 x + 0.011 y px."""
+    row, column = np.indices((side, side))
+    return 0.92 + 0.003 * column + 0.011 * row
+
+
+def bumps(side: int = SIDE) -> np.ndarray:
+    """Hills and valleys from 0.5 to 7 px, one period across the picture each way."""
+    row, column = np.indices((side, side)) * 2 * np.pi / side
+    return 0.5 + 6.5 * (1 - np.cos(column) * np.cos(row)) / 2
+
+
+def uniform(radius: float, side: int = SIDE) -> np.ndarray:
+    return np.full((side, side), float(radius))
