@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import correlate1d
 
 from napari_defocus.gabor import gradients, local_power, window_centers, within_picture
 from napari_defocus.image import PreparedImage, prepare_image
@@ -12,8 +13,18 @@ from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.settings import MapSettings
 from napari_defocus.spectrum import label_scales, spectrum_table
 
+Float32 = NDArray[np.float32]
+
 _WINDOWS_A_SIDE = 32
 _LADDER = 10.0 ** -np.arange(0.0, 7.01, 0.5)
+
+_FINEST = np.array([1.0, -2.0, 1.0])
+"""Its outer product with itself is Immerkaer's operator (CVIU 64(2), 1996); energy 36."""
+
+_FINEST_FACTOR = 15.0
+"""How far the evidence may exceed the variance of the finest details. On photographs and on
+JPEG of quality 50 to 95 the two differ by factors of 1 to 18; on pictures that are sharp
+everywhere, where the evidence takes texture for noise, by up to 170."""
 
 
 def estimate_noise_variance(
@@ -28,7 +39,9 @@ def estimate_noise_variance(
     It is the variance that explains the local spectra best: the one that maximises the mean
     over windows of max_{r, s} log p(r, s), with p of (5). Unlike an estimate from the finest
     details alone, it stays right on pictures that were compressed or denoised, where the
-    noise that matters at the frequencies in use is larger than at the highest.
+    noise that matters at the frequencies in use is larger than at the highest. That other
+    estimate serves as a bound, 15 times as large: on a picture that is sharp everywhere, the
+    evidence cannot tell texture from noise.
 
     Parameters
     ----------
@@ -81,7 +94,19 @@ def evidence_noise_variance(picture: PreparedImage, psf: PSFFamily, window: int)
             for variance in ladder
         ]
     )
-    return float(np.exp(_peak(np.log(ladder), evidence)))
+    bound = _FINEST_FACTOR * finest_variance(picture.luminance)
+    return min(float(np.exp(_peak(np.log(ladder), evidence))), bound or np.inf)
+
+
+def finest_variance(luminance: Float32) -> float:
+    """Estimate the noise variance from the finest details alone.
+
+    The median absolute deviation of second differences along both axes, as for white noise;
+    too large on fine texture, too small where compression or denoising took those details.
+    """
+    details = correlate1d(correlate1d(luminance, _FINEST, axis=0), _FINEST, axis=1)
+    sigma = np.median(np.abs(details)) / (0.6745 * np.sum(_FINEST**2))
+    return float(sigma**2)
 
 
 def _sparse_centers(length: int, window: int) -> NDArray[np.float64]:
