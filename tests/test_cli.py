@@ -38,7 +38,9 @@ def instant(monkeypatch):
 
     def estimate_candidates(image, **options):
         calls["candidates"] = options
-        return SimpleNamespace(image_shape=image.shape[:2], noise_variance=1e-4)
+        return SimpleNamespace(
+            image_shape=image.shape[:2], noise_variance=1e-4, mode=options["mode"]
+        )
 
     def label_blur_map(candidates, image, **options):
         calls["map"] = options
@@ -165,7 +167,7 @@ def test_options_reach_the_functions(picture, instant):
     common = ["--noise-variance", 2e-4, "--max-radius", 5, "--color-sigma", 0.3]
     common += ["--smoothness", 7, "--intensity-range", 10, 200]
     assert run("map", picture, *common, "--mode", "paper").exit_code == 0
-    assert run("segment", picture, *common, "--threshold", 1.5).exit_code == 0
+    assert run("segment", picture, *common, "--mode", "paper", "--threshold", 1.5).exit_code == 0
     assert instant["candidates"]["noise_variance"] == 2e-4
     assert instant["candidates"]["psf"].max_radius == 5
     for step in ("map", "mask"):
@@ -173,6 +175,8 @@ def test_options_reach_the_functions(picture, instant):
         assert instant[step]["smoothness"] == 7
         assert instant[step]["intensity_range"] == (10, 200)
     assert instant["map"]["mode"] == "paper"
+    assert instant["candidates"]["mode"] == "paper", "of the segmentation, the last command"
+    assert instant["mask"]["mode"] == "paper"
     assert instant["mask"]["threshold"] == 1.5
 
 

@@ -194,12 +194,11 @@ def refine_maxima(
         NaN and -inf where `start` is NaN.
     """
     noise = noise_power(table, noise_variance)
-    relative = (power / noise).astype(np.float32)
-    tables = [
-        (values / noise).astype(np.float32) for values in (table.value, table.first, table.second)
-    ]
-    scales, heights = _refine(relative, *tables, start, reach, table.step, 1 / dispersion)
-    constant = (np.log(noise).sum(axis=1) / dispersion).sum(axis=1)
+    relative = _padded(power * (1 / noise).astype(np.float32), 1.0)
+    gains = [_padded(values / noise, 0.0) for values in (table.value, table.first, table.second)]
+    scales, heights = _refine(relative, *gains, start, reach, table.step, 1 / dispersion)
+    padding = relative.shape[2] - noise.shape[1]
+    constant = ((np.log(noise).sum(axis=1) - padding) / dispersion).sum(axis=1)
     return scales, heights - constant[:, None].astype(np.float32)
 
 
@@ -259,7 +258,7 @@ def _deviance_and_derivatives(
     offset: float,
     s: float,
     rounds: int,
-) -> tuple[float, float, float, float]:
+) -> tuple[np.floating, np.floating, np.floating, float]:
     """Return min_s of the deviance at one scale, its first two derivatives, and that s.
 
     The minimum over s has derivative f_r and second derivative f_rr - f_rs^2 / f_ss.
@@ -267,15 +266,16 @@ def _deviance_and_derivatives(
     a = value + offset * (first + np.float32(0.5) * offset * second)
     for _ in range(rounds):
         s = _next_strength(q, a, s)
-    deviance, f_r, f_rr, f_rs, f_ss = 0.0, 0.0, 0.0, 0.0, 0.0
+    one, two = np.float32(1), np.float32(2)
+    f_r, f_rr, f_rs, f_ss = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
     for i in range(q.shape[0]):
         slope = first[i] + offset * second[i]
-        inverse = 1.0 / (1.0 + s * a[i])
-        f_u = (1.0 - q[i] * inverse) * inverse
-        f_uu = (2.0 * q[i] * inverse - 1.0) * inverse * inverse
-        deviance += q[i] * inverse - np.log(inverse)
+        inverse = one / (one + s * a[i])
+        f_u = (one - q[i] * inverse) * inverse
+        f_uu = (two * q[i] * inverse - one) * inverse * inverse
         f_r += f_u * s * slope
         f_rr += f_uu * (s * slope) ** 2 + f_u * s * second[i]
         f_rs += f_uu * a[i] * s * slope + f_u * slope
         f_ss += f_uu * a[i] * a[i]
+    deviance = _deviance(q, a, s)
     return deviance, f_r, f_rr - f_rs * f_rs / f_ss if f_ss > 0 else f_rr, s
