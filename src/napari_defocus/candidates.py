@@ -11,14 +11,20 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from napari_defocus.gabor import MIN_WINDOW, gradients, local_power, window_centers, within_picture
+from napari_defocus.gabor import gradients, local_power, window_centers, within_picture
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood, refine_maxima
 from napari_defocus.noise import evidence_noise_variance
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.settings import MapSettings, Mode, Spectra, check_mode, check_noise_variance
-from napari_defocus.spectrum import LABEL_STEP, SpectrumTable, label_scales, spectrum_table
+from napari_defocus.spectrum import (
+    LABEL_STEP,
+    SpectrumTable,
+    check_windows,
+    label_scales,
+    spectrum_table,
+)
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -27,6 +33,7 @@ CANDIDATES = 3
 _WINDOWS_A_BLOCK = 4096
 _LEAST_OPAQUE = 0.05
 _INDISTINCT = 1e-6
+_FLAT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,19 +244,11 @@ def _check_settings(
     mode: str,
     spectra: str,
 ) -> None:
-    if not isinstance(psf, PSFFamily):
-        raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
+    check_windows(psf, window)
     check_noise_variance(noise_variance)
     check_mode(mode)
-    if window != int(window) or window % 2 == 0 or window < MIN_WINDOW:
-        raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
-    if stride != int(stride) or not 1 <= stride <= window:
+    if not isinstance(stride, (int, np.integer)) or not 1 <= stride <= window:
         raise ValueError(f"stride is {stride}; it takes a whole number of px from 1 to {window}")
-    if 2 * psf.max_scale > window:
-        raise ValueError(
-            f"psf has a largest scale of {psf.max_scale} px; "
-            f"a window of {window} px takes at most {window / 2} px"
-        )
     if spectra not in get_args(Spectra):
         raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
 
@@ -311,11 +310,13 @@ def _silence_transparent(
 ) -> None:
     """Let windows speak in proportion to their opaque share, and the transparent ones not."""
     curve *= opaque[..., None]
-    log_likelihoods *= opaque[..., None]
     transparent = opaque < _LEAST_OPAQUE
     curve[transparent] = 0
     radii[transparent] = np.nan
-    log_likelihoods[transparent] = -np.inf
+    present = np.isfinite(radii)
+    share = np.broadcast_to(opaque[..., None], radii.shape)
+    log_likelihoods[present] *= share[present]
+    log_likelihoods[~present] = -np.inf
 
 
 def local_maxima(
@@ -347,6 +348,8 @@ def local_maxima(
     pointlike = int(np.sum(np.abs(blurs / blurs[0] - 1).max(axis=(1, 2)) < _INDISTINCT)) - 1
     start = _pick_maxima(curve, scales.astype(np.float32), pointlike)
     radii, heights = refine_maxima(power, table, start, LABEL_STEP, noise_variance, dispersion)
+    flat = np.ptp(curve, axis=1) < _FLAT
+    radii[flat], heights[flat] = np.nan, -np.inf
     radii[radii <= scales[pointlike] + _INDISTINCT] = scales[pointlike] / 2
     order = np.argsort(-heights, axis=1)
     return np.take_along_axis(radii, order, 1), np.take_along_axis(heights, order, 1)

@@ -37,6 +37,7 @@ _FINEST_RANGE = np.int32(2)
 _RELAXATION = np.float32(0.4)
 _LEAST_GAIN = 1e-6
 _NEVER = 1e12
+_NODES_A_STRIP = 16384
 
 
 def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent) -> Labels:
@@ -81,20 +82,50 @@ def _solve_exactly(data: Float32, weights: Float32) -> Labels:
 def _improve(
     start: Labels, data: Float32, weights: Float32, finest: bool, progress: Progress
 ) -> Labels:
-    """Lower the energy of labels from a coarser level: expansions, then one range move.
+    """Lower the energy of labels from a coarser level: expansions, then range moves.
 
     Small things appear as the grid gets finer, so that all labels are tried; on the finest
     grid, those that are present.
     """
     costs, edges = data.reshape(-1, data.shape[2]), Edges.of_grid(weights)
-    labels, last = start.ravel(), np.int32(data.shape[2] - 1)
+    labels = _better(start.ravel(), costs.argmin(axis=1).astype(np.int32), costs, edges)
     offers = np.unique(labels) if finest else range(data.shape[2])
     for done, alpha in enumerate(offers):
-        progress(_STEP, done / len(offers))
+        progress(_STEP, 0.7 * done / len(offers))
         labels = expand(labels, int(alpha), costs, edges)
+    labels = labels.reshape(start.shape)
     reach = _FINEST_RANGE if finest else _RANGE
-    low, high = np.maximum(labels - reach, 0), np.minimum(labels + reach, last)
-    return best_in_range(low, high, costs, edges).reshape(start.shape)
+    rows, columns = data.shape[:2]
+    height = max(1, _NODES_A_STRIP // columns)
+    for top in range(0, rows, height):
+        progress(_STEP, 0.7 + 0.3 * top / rows)
+        _move_strip(labels, top, top + height, reach, data, weights)
+    return labels
+
+
+def _better(first: Labels, second: Labels, data: Float32, edges: Edges) -> Labels:
+    """Return the labels of less energy: where neighbours owe little, each node's own best."""
+    energies = [labeling_energy(labels, data, edges) for labels in (first, second)]
+    return first if energies[0] <= energies[1] else second
+
+
+def _move_strip(
+    labels: Labels, top: int, bottom: int, reach: np.int32, data: Float32, weights: Float32
+) -> None:
+    """Make the range move of some rows, in place; the rows beside them keep their labels."""
+    around = slice(max(top - 1, 0), bottom + 1)
+    present = labels[around]
+    free = np.zeros((len(present), 1), bool)
+    free[top - around.start : bottom - around.start] = True
+    low = np.where(free, np.maximum(present - reach, 0), present)
+    high = np.where(free, np.minimum(present + reach, data.shape[2] - 1), present)
+    inner = weights[:, around].copy()
+    inner[1:, -1] = 0
+    costs = data[around].reshape(-1, data.shape[2])
+    moved = best_in_range(
+        low.ravel().astype(np.int32), high.ravel().astype(np.int32), costs, Edges.of_grid(inner)
+    )
+    labels[around] = moved.reshape(present.shape)
 
 
 def expand_until_settled(data: Float32, weights: Float32, progress: Progress = silent) -> Labels:
@@ -107,11 +138,13 @@ def expand_until_settled(data: Float32, weights: Float32, progress: Progress = s
     costs, edges = data.reshape(-1, count), Edges.of_grid(weights)
     labels = costs.argmin(axis=1).astype(np.int32)
     before, after = np.inf, labeling_energy(labels, costs, edges)
+    left = 1.0  # of the bar: nobody knows how many rounds there will be
     while after < before - _LEAST_GAIN * abs(after):
         for alpha in range(count):
-            progress(_STEP, alpha / count)
+            progress(_STEP, 1 - left * (1 - 0.5 * alpha / count))
             labels = expand(labels, alpha, costs, edges)
         before, after = after, labeling_energy(labels, costs, edges)
+        left /= 2
     return labels.reshape(data.shape[:2])
 
 

@@ -70,14 +70,25 @@ def prepare_image(
         opaque = array[..., 3] > 0
         opaque = None if opaque.all() else opaque
         array = array[..., :3]
-    color = array.reshape(*array.shape[:2], -1).astype(np.float32)
-    color -= np.float32(low)
-    color *= np.float32(1.0 / (high - low))
+    # Differences of large numbers need double precision; 8 and 16 bits fit into single.
+    intensity = array.astype(np.float32 if array.dtype.itemsize <= 2 else np.float64)
+    intensity -= low
+    intensity /= high - low
+    with np.errstate(over="ignore"):
+        color = intensity.reshape(*array.shape[:2], -1).astype(np.float32)
+    if not np.isfinite(color).all():
+        raise ValueError(
+            f"image has values up to {np.abs(array).max():g}; it takes intensities around [0, 1], "
+            "or an intensity_range"
+        )
     return PreparedImage(color, _luminance(color), opaque)
 
 
 def _checked_array(image: ArrayLike) -> NDArray[Any]:
-    array = np.asarray(image)
+    try:
+        array = np.asarray(image)
+    except ValueError as error:
+        raise ValueError(f"image is no array: {error}") from None
     if array.dtype.kind not in "buif":
         raise TypeError(
             f"image has dtype {array.dtype}; it takes a real one (integers, floats or bool)"

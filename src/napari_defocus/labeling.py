@@ -70,9 +70,9 @@ def _places_of_window(candidates: BlurCandidates) -> NDArray[np.float64]:
 
 def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
     """Return p~ of Section III-B: the three candidates widened by kappa, sum 1, (R, C, L)."""
-    best = candidates.log_likelihoods[..., :1]
     present = np.isfinite(candidates.radii)
-    height = np.exp(np.where(present, candidates.log_likelihoods - best, -np.inf), dtype=np.float64)
+    known = np.where(present, candidates.log_likelihoods, 0).astype(np.float64)
+    height = np.where(present, np.exp(known - known[..., :1]), 0)
     label = np.rint(np.where(present, candidates.radii, 0) / LABEL_STEP).astype(int)
     count, reach = len(candidates.scales), len(KAPPA) // 2
     likelihood = np.zeros((*label.shape[:2], count + 2 * reach))

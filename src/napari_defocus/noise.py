@@ -11,7 +11,7 @@ from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.likelihood import profile_log_likelihood
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.settings import MapSettings
-from napari_defocus.spectrum import label_scales, spectrum_table
+from napari_defocus.spectrum import check_windows, label_scales, spectrum_table
 
 Float32 = NDArray[np.float32]
 
@@ -60,6 +60,12 @@ def estimate_noise_variance(
         Variance for intensities in [0, 1]; 0 for a constant picture. Independent noise of
         variance v in each of R, G and B is 0.45 v in luminance.
 
+    Raises
+    ------
+    TypeError, ValueError
+        If `image` is no picture, `psf` no PSF family, or `window` no odd number from 17 up that
+        is at least twice the family's largest scale.
+
     Examples
     --------
     >>> import numpy as np
@@ -70,6 +76,7 @@ def estimate_noise_variance(
     >>> bool(0.5e-4 < estimate_noise_variance(noisy) < 2e-4)
     True
     """
+    check_windows(psf, window)
     return evidence_noise_variance(prepare_image(image, intensity_range), psf, window)
 
 

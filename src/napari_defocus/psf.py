@@ -70,7 +70,7 @@ class Disc:
         reach = max(int(np.ceil(scale - 0.5)), 0)
         corners = np.arange(-reach, reach + 2) - 0.5
         below = _disc_quadrant_area(corners[:, None], corners[None, :], max(scale, 0.5))
-        covered = np.diff(np.diff(below, axis=0), axis=1)
+        covered = np.maximum(np.diff(np.diff(below, axis=0), axis=1), 0)
         return covered / covered.sum()
 
 
@@ -80,9 +80,10 @@ def _disc_quadrant_area(
     """Signed area of the disc within the rectangle from its centre to (x, y)."""
     a = np.minimum(np.abs(x), radius)
     b = np.minimum(np.abs(y), radius)
-    flat = np.minimum(np.sqrt(radius**2 - b**2), a)
+    flat = np.minimum(np.sqrt(np.maximum(radius**2 - b**2, 0)), a)
 
     def under_arc(u: NDArray[np.floating]) -> NDArray[np.floating]:
-        return 0.5 * (u * np.sqrt(radius**2 - u**2) + radius**2 * np.arcsin(u / radius))
+        angle = np.arcsin(np.minimum(u / radius, 1))
+        return 0.5 * (u * np.sqrt(np.maximum(radius**2 - u**2, 0)) + radius**2 * angle)
 
     return np.sign(x) * np.sign(y) * (b * flat + under_arc(a) - under_arc(flat))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.fft import fft, fft2, next_fast_len
 from scipy.interpolate import CubicSpline
 
-from napari_defocus.gabor import AxisFilters, axis_filters, frequencies
+from napari_defocus.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
 from napari_defocus.psf import PSFFamily
 from napari_defocus.settings import Spectra
 
@@ -54,6 +54,19 @@ class SpectrumTable:
     def at(self, scales: Float64) -> Float64:
         """Return sigma_i^2 at the table's scales nearest to `scales`: (len(scales), 2, F)."""
         return self.value[np.rint(scales / self.step).astype(int)]
+
+
+def check_windows(psf: PSFFamily, window: int) -> None:
+    """Check a PSF family and the side of the windows that are to see its blur, in px."""
+    if not isinstance(psf, PSFFamily) or isinstance(psf, type):
+        raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
+    if not isinstance(window, (int, np.integer)) or window % 2 == 0 or window < MIN_WINDOW:
+        raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
+    if 2 * psf.max_scale > window:
+        raise ValueError(
+            f"psf has a largest scale of {psf.max_scale} px; "
+            f"a window of {window} px takes at most {window / 2} px"
+        )
 
 
 def label_scales(psf: PSFFamily) -> Float64:

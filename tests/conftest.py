@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from skimage import data
+
+from napari_defocus import simulate_defocus
+
+
+def _locked(picture):
+    picture.setflags(write=False)
+    return picture
+
+
+def _half_size(name, side):
+    """A picture as sharp as its pixels: camera pictures are not at their full size."""
+    picture = getattr(data, name)()[: 2 * side, : 2 * side] / 255.0
+    halves = picture.reshape(side, 2, side, 2, -1).mean(axis=(1, 3))
+    return _locked(halves.squeeze().astype(np.float32))
+
+
+@pytest.fixture(scope="session")
+def grass():
+    """Grey texture everywhere: (160, 160), [0, 1]."""
+    return _half_size("grass", 160)
+
+
+@pytest.fixture(scope="session")
+def gravel():
+    """Grey texture everywhere: (160, 160), [0, 1]."""
+    return _half_size("gravel", 160)
+
+
+@pytest.fixture(scope="session")
+def astronaut():
+    """A portrait in colour, with flat places: (160, 160, 3), [0, 1]."""
+    return _half_size("astronaut", 160)
+
+
+@pytest.fixture(scope="session")
+def clouds():
+    """Noise with amplitudes falling as 1 / frequency, as in pictures: (160, 160), sharp."""
+    side = 256
+    frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.fftfreq(side))
+    frequency[0, 0] = 1
+    white = np.random.default_rng(1).standard_normal((side, side))
+    fractal = np.fft.ifft2(np.fft.fft2(white) / frequency).real
+    fractal = 0.5 + 0.15 * (fractal - fractal.mean()) / fractal.std()
+    return _locked(fractal[:160, :160].astype(np.float32))
+
+
+@pytest.fixture(scope="session")
+def defocused():
+    """Blur a picture by a radius or a map of radii in px, with a little noise."""
+
+    def blur(picture, radius, noise_variance=1e-6, rng=0):
+        radii = np.broadcast_to(np.asarray(radius, float), picture.shape[:2])
+        return simulate_defocus(picture, radii, noise_variance=noise_variance, rng=rng)
+
+    return blur
+
+
+@pytest.fixture(scope="session")
+def ramp():
+    """Radii from 2 to 4 px, left to right, over 160 px: 1 px in 80."""
+    return np.broadcast_to(np.linspace(2, 4, 160), (160, 160))
+
+
+@pytest.fixture(scope="session")
+def ramp_picture(clouds, ramp, defocused):
+    return _locked(defocused(clouds, ramp))
+
+
+@pytest.fixture(scope="session")
+def scene(grass, gravel, defocused):
+    """A warm disc of 85 px radius before something cool, one of them blurred by 5 px.
+
+    Returns the picture, (360, 360, 3), and where the disc is.
+    """
+
+    def build(blurred):
+        row, column = np.indices((360, 360)) - 179.5
+        inside = row**2 + column**2 < 85**2
+        layers = {"subject": (grass, (0.7, 0.45, 0.2)), "background": (gravel, (0.2, 0.35, 0.6))}
+        seen = {}
+        for layer, (texture, color) in layers.items():
+            large = np.pad(texture - texture.mean(), 100, mode="symmetric")
+            large = 0.5 * large[..., None] + np.array(color)
+            seen[layer] = defocused(large, 5, 0) if layer == blurred else large
+        picture = np.where(inside[..., None], seen["subject"], seen["background"])
+        noise = np.random.default_rng(0).normal(0, 1e-3, picture.shape)
+        return (picture + noise).astype(np.float32), inside
+
+    return build

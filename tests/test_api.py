@@ -1,0 +1,75 @@
+"""The public names, what importing them costs, and the examples in their docstrings."""
+
+import doctest
+import pkgutil
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+
+import napari_defocus
+
+PUBLIC = {
+    "BlurCandidates",
+    "Cancelled",
+    "Disc",
+    "PSFFamily",
+    "estimate_blur_map",
+    "estimate_candidates",
+    "estimate_noise_variance",
+    "label_blur_map",
+    "segment_in_focus",
+    "simulate_defocus",
+}
+
+MODULES = [
+    module.name
+    for module in pkgutil.iter_modules(napari_defocus.__path__)
+    if module.name != "widgets"
+]
+
+
+def run_python(code):
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    ).stdout
+
+
+def test_public_names_are_there_and_listed():
+    assert set(napari_defocus.__all__) == PUBLIC
+    assert set(dir(napari_defocus)) >= PUBLIC
+    for name in PUBLIC:
+        assert getattr(napari_defocus, name).__doc__
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="has no attribute 'sharpen'"):
+        _ = napari_defocus.sharpen
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    heavy = {"numba", "maxflow", "napari", "qtpy", "magicgui", "scipy", "skimage", "dask", "numpy"}
+    loaded = run_python("import sys, napari_defocus; print(*sys.modules)").split()
+    assert not heavy & set(loaded)
+
+
+def test_method_imports_neither_napari_nor_qt():
+    names = ", ".join(sorted(PUBLIC))
+    code = f"import sys\nfrom napari_defocus import {names}\nprint(*sys.modules)"
+    loaded = {name.partition(".")[0] for name in run_python(code).split()}
+    assert "numba" in loaded
+    assert not {"napari", "qtpy", "magicgui", "PySide6", "PyQt6", "dask"} & loaded
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_examples_in_docstrings_are_true(module):
+    result = doctest.testmod(
+        import_module(f"napari_defocus.{module}"), optionflags=doctest.NORMALIZE_WHITESPACE
+    )
+    assert result.failed == 0
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC - {"BlurCandidates", "Cancelled", "PSFFamily"}))
+def test_public_functions_have_an_example(name):
+    assert doctest.DocTestFinder(recurse=False).find(getattr(napari_defocus, name))[0].examples

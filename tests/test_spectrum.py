@@ -1,0 +1,114 @@
+"""Blur and noise spectra, (6), (7) and (12), against convolutions written out."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import fftconvolve
+
+from napari_defocus import Disc
+from napari_defocus.gabor import frequencies, gradients, local_power
+from napari_defocus.spectrum import label_scales, spectrum_table
+
+FRACTIONS = pytest.mark.parametrize("fraction", [(0.0, 0.0), (0.5, 0.5), (0.0, 0.5)])
+
+
+@pytest.fixture(scope="module")
+def table():
+    return spectrum_table(Disc(), 41, 0.0, 0.0, "exact")
+
+
+def filters(direction, fraction, window=41):
+    """The complex filters of one gradient, (F, ...), where its differences lie."""
+    offset = (0.0, 0.5) if direction == 0 else (0.5, 0.0)
+    y, x = (
+        np.arange(-(window // 2) + (part != half) / 2, window // 2 + 0.1)
+        for part, half in zip(fraction, offset, strict=True)
+    )
+    envelope = np.exp(-(y[:, None] ** 2 + x**2) / (2 * (window / 4) ** 2))
+    envelope /= np.sqrt(np.sum(envelope**2))
+    return [
+        envelope * np.exp(-2j * np.pi * (row * y[:, None] + column * x) / window)
+        for row, column in frequencies(window)
+    ]
+
+
+@FRACTIONS
+def test_point_leaves_every_power_as_it_is(fraction):
+    table = spectrum_table(Disc(), 41, *fraction, "exact")
+    np.testing.assert_allclose(table.at(np.array([0.0, 0.2, 0.5])), 1, rtol=1e-6)
+
+
+@FRACTIONS
+@pytest.mark.parametrize("radius", [1.0, 3.3, 7.0])
+def test_blur_spectrum_is_the_energy_of_the_blurred_filter(radius, fraction):
+    at_radius = spectrum_table(Disc(), 41, *fraction, "exact").at(np.array([radius]))[0]
+    kernel = Disc().kernel(radius)
+    for direction in (0, 1):
+        energy = [np.sum(np.abs(fftconvolve(kernel, t)) ** 2) for t in filters(direction, fraction)]
+        # Filters are kept in single precision.
+        np.testing.assert_allclose(at_radius[direction], energy, rtol=1e-5)
+
+
+@FRACTIONS
+def test_noise_spectrum_is_the_energy_of_the_differentiated_filter(fraction):
+    table = spectrum_table(Disc(), 41, *fraction, "exact")
+    for direction, difference in enumerate((np.array([[1, -1]]), np.array([[1], [-1]]))):
+        energy = [
+            np.sum(np.abs(fftconvolve(difference, t)) ** 2) for t in filters(direction, fraction)
+        ]
+        np.testing.assert_allclose(table.noise[direction], energy, rtol=1e-5)
+
+
+def test_noise_spectrum_is_the_power_of_white_noise():
+    noise = np.random.default_rng(0).standard_normal((400, 400)).astype(np.float32)
+    centers = np.arange(25.0, 375.0, 10)
+    power = local_power(gradients(noise, None, 41), centers, centers, 41)
+    # 35 x 35 windows overlap: some 80 are independent, each power has a spread of 100 %.
+    ratio = power.mean(axis=(0, 1)) / spectrum_table(Disc(), 41, 0.0, 0.0, "exact").noise
+    np.testing.assert_allclose(ratio.mean(), 1, rtol=0.03)
+    np.testing.assert_allclose(ratio, 1, rtol=0.5)
+
+
+@pytest.mark.parametrize("order", ["first", "second"])
+def test_derivatives_agree_with_differences(table, order):
+    scales = np.arange(0.6, 7.95, 0.013)
+    # Between the table's scales, the values are those of a spline through their logarithms.
+    log_blur = CubicSpline(table.scales, np.log(table.value))
+    nearest = np.rint(scales / table.step).astype(int)
+    x, h = table.scales[nearest], 1e-4
+    low, middle, high = (np.exp(log_blur(x + shift)) for shift in (-h, 0, h))
+    expected = {"first": (high - low) / (2 * h), "second": (high - 2 * middle + low) / h**2}
+    error = np.abs(getattr(table, order)[nearest] - expected[order])
+    assert error.max() < {"first": 1e-6, "second": 3e-2}[order] * np.abs(expected[order]).max()
+
+
+def test_values_between_the_scales_follow_from_the_derivatives(table):
+    # Half a table step, 0.01 px, is the farthest that (13) extrapolates.
+    at = np.array([1.0, 2.5, 4.0, 6.0])
+    index = np.rint(at / table.step).astype(int)
+    taylor = table.value[index] + 0.01 * table.first[index] + 0.5 * 0.01**2 * table.second[index]
+    exact = np.exp(CubicSpline(table.scales, np.log(table.value))(at + 0.01))
+    np.testing.assert_allclose(taylor, exact, rtol=1e-3)
+
+
+def test_fit_of_12_has_a_log_error_of_17_percent(table):
+    fitted = spectrum_table(Disc(), 41, 0.0, 0.0, "fitted")
+    error = np.log(fitted.value / table.value)
+    # Half of them are within 5 %; the narrow zeros of the disc's spectra are rounded off.
+    assert np.sqrt(np.mean(error**2)) < 0.18
+    assert np.median(np.abs(error)) < 0.05
+
+
+def test_labels_are_a_tenth_of_a_pixel_apart_up_to_the_largest_radius():
+    np.testing.assert_allclose(label_scales(Disc()), np.arange(81) / 10)
+    np.testing.assert_allclose(label_scales(Disc(3.07)), np.arange(31) / 10)
+
+
+@pytest.mark.parametrize("radius", [1.0, 2.3, 3.07, 7.77, 12.0])
+def test_table_reaches_from_0_to_the_largest_radius_and_is_finite(radius):
+    table = spectrum_table(Disc(radius), 41, 0.5, 0.5, "exact")
+    assert table.scales[0] == 0
+    assert table.scales[-1] == radius
+    for values in (table.value, table.first, table.second, table.noise):
+        assert np.isfinite(values).all()
+    assert (table.value > 0).all()
