@@ -58,7 +58,7 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
     levels = [(data, weights)]
     while max(levels[-1][0].shape[:2]) > _COARSEST:
         levels.append(_coarser(*levels[-1]))
-    labels = _solve_exactly(*levels[-1])
+    labels = solve_exactly(*levels[-1])
     for depth, (level_data, level_weights) in enumerate(reversed(levels[:-1]), 1):
         rows, columns = level_data.shape[:2]
         start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns]
@@ -70,8 +70,11 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
     return labels
 
 
-def _solve_exactly(data: Float32, weights: Float32) -> Labels:
-    """Find the labels of least energy, for a small grid."""
+def solve_exactly(data: Float32, weights: Float32) -> Labels:
+    """Find the labels of least energy by one cut: for few nodes, or few labels.
+
+    Parameters and result are those of `minimize_energy`; the cut has R x C x (L - 1) nodes.
+    """
     rows, columns, count = data.shape
     low = np.zeros(rows * columns, np.int32)
     high = low + np.int32(count - 1)
@@ -84,12 +87,12 @@ def _improve(
 ) -> Labels:
     """Lower the energy of labels from a coarser level: expansions, then range moves.
 
-    Small things appear as the grid gets finer, so that all labels are tried; on the finest
-    grid, those that are present.
+    Small things appear as the grid gets finer, so that labels from all over are offered (those
+    between are the range move's); on the finest grid, those that are present.
     """
     costs, edges = data.reshape(-1, data.shape[2]), Edges.of_grid(weights)
     labels = _better(start.ravel(), costs.argmin(axis=1).astype(np.int32), costs, edges)
-    offers = np.unique(labels) if finest else range(data.shape[2])
+    offers = np.unique(labels) if finest else range(0, data.shape[2], 3)
     for done, alpha in enumerate(offers):
         progress(_STEP, 0.7 * done / len(offers))
         labels = expand(labels, int(alpha), costs, edges)

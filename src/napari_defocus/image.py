@@ -71,7 +71,9 @@ def prepare_image(
         opaque = None if opaque.all() else opaque
         array = array[..., :3]
     # Differences of large numbers need double precision; 8 and 16 bits fit into single.
-    intensity = array.astype(np.float32 if array.dtype.itemsize <= 2 else np.float64)
+    intensity: NDArray[np.floating] = array.astype(
+        np.float32 if array.dtype.itemsize <= 2 else np.float64
+    )
     intensity -= low
     intensity /= high - low
     with np.errstate(over="ignore"):

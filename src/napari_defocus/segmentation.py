@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks, label_pixels
 from napari_defocus.candidates import BlurCandidates
-from napari_defocus.graphcut import minimize_energy
+from napari_defocus.graphcut import solve_exactly
 from napari_defocus.labeling import data_term, limited_depth, picture_of
-from napari_defocus.progress import Progress, silent, within
+from napari_defocus.progress import Progress, silent
 from napari_defocus.settings import (
     MapSettings,
     MaskSettings,
@@ -91,9 +91,8 @@ def segment_in_focus(
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = focus_cost(candidates, threshold, mode)
     weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
-    labels = minimize_energy(
-        cost * blocks.area[..., None], weights, within(progress, 0.0, 0.5, step)
-    )
+    progress(step, 0.0)
+    labels = solve_exactly(cost * blocks.area[..., None], weights)
     progress(step, 0.5)
     mask = label_pixels(
         labels,
