@@ -5,7 +5,8 @@
 Prints a Markdown table: for each family of maps and noise variance (of each channel), the mean
 over the pictures of the squared error (MSE, px^2), the absolute error (MAE, px) and the share of
 pixels within 0.5 px, for the map, for the global maximum of the likelihood alone, and for the
-best of the three candidates (which knows the truth).
+best of the three candidates (which knows the truth); the latter two over the windows that have
+any. The picture's own blur adds to that of the map, which counts at 1 px and below.
 """
 
 import argparse
@@ -59,7 +60,8 @@ def scores(
     blur_map = label_blur_map(candidates, blurred, mode=arguments.mode)
     true_radii = at_windows(truth, candidates)[..., None]
     distances = np.abs(candidates.radii - true_radii)
-    errors = (np.abs(blur_map - truth), distances[..., 0], np.nanmin(distances, axis=2))
+    distances = distances[np.isfinite(distances[..., 0])]
+    errors = (np.abs(blur_map - truth), distances[:, 0], np.nanmin(distances, axis=1))
     return np.array([[np.mean(e**2), np.mean(e), np.mean(e <= 0.5)] for e in errors])
 
 
