@@ -21,6 +21,7 @@ from scipy.ndimage import (
 )
 
 from napari_defocus.graphcut import STEPS, Edges, fuse, join_blocks
+from napari_defocus.progress import Progress, silent
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -132,6 +133,7 @@ def label_pixels(
     color_sigma: float,
     jump: int,
     reach: int,
+    progress: Progress = silent,
 ) -> Labels:
     """Label pixels on their own wherever neighbouring blocks differ by a jump.
 
@@ -149,6 +151,7 @@ def label_pixels(
         The smallest difference of labels that counts as a discontinuity.
     reach : int
         How far, in px, a boundary may move at once.
+    progress : callable, optional
 
     Returns
     -------
@@ -162,13 +165,15 @@ def label_pixels(
     place = np.flatnonzero(binary_dilation(free, np.ones((3, 3))))
     edges = _pixel_edges(color, place, smoothness, color_sigma)
     rows, columns = blocks.positions
-    while reach > 0:
+    left = reach
+    while left > 0:
         for offer in (grey_erosion, grey_dilation):
-            proposal = np.where(free, offer(pixels, 2 * reach + 1), pixels)
+            progress("Following the picture's edges", 1 - left / reach)
+            proposal = np.where(free, offer(pixels, 2 * left + 1), pixels)
             now, new = pixels.ravel()[place], proposal.ravel()[place].astype(np.int32)
             change = _interpolated_change(cost, now, new, place, rows, columns)
             pixels.flat[place] = fuse(now, new, change, edges)
-        reach //= 2
+        left //= 2
     return pixels
 
 

@@ -31,6 +31,7 @@ Float64 = NDArray[np.floating]
 
 CANDIDATES = 3
 _WINDOWS_A_BLOCK = 4096
+_LEAST_ROWS = 12
 _LEAST_OPAQUE = 0.05
 _INDISTINCT = 1e-6
 _FLAT = 1e-3
@@ -283,8 +284,8 @@ class _AnalysisGrid:
         return cls(rows, columns, row_of_window, column_of_window)
 
     def blocks(self) -> Iterator[slice]:
-        """Cut the rows into blocks of a bounded number of windows."""
-        height = max(1, _WINDOWS_A_BLOCK // len(self.columns))
+        """Cut the rows into blocks: large enough to share their lines, small enough to report."""
+        height = max(_LEAST_ROWS, _WINDOWS_A_BLOCK // len(self.columns))
         for start in range(0, len(self.rows), height):
             yield slice(start, min(start + height, len(self.rows)))
 

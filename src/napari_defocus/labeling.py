@@ -167,6 +167,7 @@ def label_blur_map(
         color_sigma=color_sigma,
         jump=_JUMP,
         reach=_REACH,
+        progress=within(progress, 0.7, 1.0),
     )
     progress("Following the picture's edges", 1.0)
     return np.float32(LABEL_STEP) * interpolate_labels(labels, pixels, blocks, _JUMP)

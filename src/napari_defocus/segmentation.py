@@ -9,7 +9,7 @@ from napari_defocus.boundaries import Blocks, label_pixels
 from napari_defocus.candidates import BlurCandidates
 from napari_defocus.graphcut import solve_exactly
 from napari_defocus.labeling import data_term, limited_depth, picture_of
-from napari_defocus.progress import Progress, silent
+from napari_defocus.progress import Progress, silent, within
 from napari_defocus.settings import (
     MapSettings,
     MaskSettings,
@@ -103,6 +103,7 @@ def segment_in_focus(
         color_sigma=color_sigma,
         jump=1,
         reach=candidates.window // 2,
+        progress=within(progress, 0.5, 1.0, step),
     )
     progress(step, 1.0)
     return mask.astype(np.uint8)
