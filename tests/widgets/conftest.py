@@ -1,4 +1,3 @@
-import ctypes
 import os
 import sys
 import time
@@ -14,18 +13,6 @@ import napari_defocus
 def has_display():
     needs_one = sys.platform.startswith("linux")
     return not needs_one or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _references_to_spare():
-    """Keep the interpreter alive under PySide6 6.12.0.
-
-    There, every Qt call that returns None, True or False gives back a reference that it never
-    took. Up to Python 3.11 these are counted, and at zero the process is aborted.
-    """
-    if sys.implementation.name == "cpython" and sys.version_info < (3, 12):
-        for constant in (None, True, False):
-            ctypes.c_ssize_t.from_address(id(constant)).value += 1 << 40
 
 
 @pytest.hookimpl(tryfirst=True)

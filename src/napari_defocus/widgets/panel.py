@@ -85,7 +85,7 @@ class DefocusPanel(Container[Widget]):
         self.cancel_button.clicked.connect(self.cancel)
         self.progress_bar.hide()
         self.status.native.setWordWrap(True)
-        self.native.destroyed.connect(self._on_closed)
+        self.native.destroyed.connect(lambda: self._on_closed())
         active = self._viewer.layers.selection.active
         if active in self.image.choices:
             self.image.value = active
@@ -144,10 +144,12 @@ class DefocusPanel(Container[Widget]):
     def _start(self, analysis: Analysis) -> Run:
         plane = analysis.plane
         run = Run(partial(analysis.run, KEPT_CANDIDATES), f"Defocus of {plane.name}", owner=self)
-        run.progressed.connect(self._on_progressed)
-        run.returned.connect(self._on_returned)
-        run.refused.connect(self._on_refused)
-        run.finished.connect(self._on_finished)
+        # Functions, not methods: PySide6 mixes up the methods of objects that are not Qt's own
+        # when one is made at the address of another that has gone, and crashes.
+        run.progressed.connect(lambda step, done: self._on_progressed(step, done))
+        run.returned.connect(lambda results: self._on_returned(results))
+        run.refused.connect(lambda reason: self._on_refused(reason))
+        run.finished.connect(lambda: self._on_finished())
         self._viewer.layers.events.removed.connect(self._on_layer_removed)
         self._running, self._plane = run, plane
         self._show_running(True)
