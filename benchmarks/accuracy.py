@@ -57,7 +57,7 @@ def scores(
     """Return (MSE, MAE, share within 0.5 px) of map, maximum and best of three: (3, 3)."""
     blurred = simulate_defocus(picture, truth, noise_variance=variance, rng=0)
     candidates = estimate_candidates(blurred, mode=arguments.mode, stride=arguments.stride)
-    blur_map = label_blur_map(candidates, blurred, mode=arguments.mode)
+    blur_map = label_blur_map(candidates, blurred)
     true_radii = at_windows(truth, candidates)[..., None]
     distances = np.abs(candidates.radii - true_radii)
     distances = distances[np.isfinite(distances[..., 0])]

@@ -273,3 +273,13 @@ def test_larger_domain_finds_larger_blur(clouds):
     picture = simulate_defocus(clouds, np.full((160, 160), 8.5), psf=Disc(10))
     found = estimate_candidates(picture, psf=Disc(10), noise_variance=NOISE)
     assert abs(np.median(found.radii[..., 0]) - 8.5) < 0.1
+
+
+@pytest.mark.parametrize("shape", [(121, 101), (30, 100), (3, 3)])
+def test_places_that_share_a_window_are_counted(shape):
+    picture = np.random.default_rng(0).random(shape)
+    found = estimate_candidates(picture, noise_variance=NOISE)
+    distinct = len(np.unique(found.curve.reshape(-1, len(found.scales)), axis=0))
+    assert np.sum(1 / found.places_of_window()) == pytest.approx(distinct)
+    if min(shape) > 100:
+        assert found.places_of_window()[12, 12] == 1

@@ -38,9 +38,7 @@ def instant(monkeypatch):
 
     def estimate_candidates(image, **options):
         calls["candidates"] = options
-        return SimpleNamespace(
-            image_shape=image.shape[:2], noise_variance=1e-4, mode=options["mode"]
-        )
+        return SimpleNamespace(image_shape=image.shape[:2], noise_variance=1e-4)
 
     def label_blur_map(candidates, image, **options):
         calls["map"] = options
@@ -157,7 +155,7 @@ def test_defaults_are_those_of_the_functions(picture, instant):
     assert instant["candidates"]["noise_variance"] is MapSettings.noise_variance
     assert instant["map"]["smoothness"] == MapSettings.smoothness
     assert instant["map"]["color_sigma"] == MapSettings.color_sigma
-    assert instant["map"]["mode"] == MapSettings.mode
+    assert instant["candidates"]["mode"] == MapSettings.mode
     assert instant["mask"]["threshold"] == MaskSettings.threshold
     assert instant["mask"]["smoothness"] == MaskSettings.smoothness
     assert instant["mask"]["color_sigma"] == MaskSettings.color_sigma
@@ -167,6 +165,8 @@ def test_options_reach_the_functions(picture, instant):
     common = ["--noise-variance", 2e-4, "--max-radius", 5, "--color-sigma", 0.3]
     common += ["--smoothness", 7, "--intensity-range", 10, 200]
     assert run("map", picture, *common, "--mode", "paper").exit_code == 0
+    assert instant["candidates"]["mode"] == "paper"
+    instant.pop("candidates")
     assert run("segment", picture, *common, "--mode", "paper", "--threshold", 1.5).exit_code == 0
     assert instant["candidates"]["noise_variance"] == 2e-4
     assert instant["candidates"]["psf"].max_radius == 5
@@ -174,9 +174,7 @@ def test_options_reach_the_functions(picture, instant):
         assert instant[step]["color_sigma"] == 0.3
         assert instant[step]["smoothness"] == 7
         assert instant[step]["intensity_range"] == (10, 200)
-    assert instant["map"]["mode"] == "paper"
-    assert instant["candidates"]["mode"] == "paper", "of the segmentation, the last command"
-    assert instant["mask"]["mode"] == "paper"
+    assert instant["candidates"]["mode"] == "paper"
     assert instant["mask"]["threshold"] == 1.5
 
 

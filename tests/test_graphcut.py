@@ -168,7 +168,7 @@ def test_labels_of_a_real_blur_map_are_within_a_thousandth_of_the_optimum(
     blocks = Blocks.around(
         candidates.row_centers, candidates.column_centers, candidates.image_shape
     )
-    data = data_term(candidates, "curve") * blocks.area[..., None]
+    data = data_term(candidates) * blocks.area[..., None]
     weights = blocks.edge_weights(picture.reshape(160, 160, -1), 0.1, 20.0)
     assert excess(minimize(data, weights), data, weights) < 1e-3
 

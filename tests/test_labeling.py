@@ -171,7 +171,6 @@ def test_more_smoothness_varies_less(ramp_picture):
         ({"color_sigma": 0}, "color_sigma is 0"),
         ({"color_sigma": -0.1}, "color_sigma is -0.1"),
         ({"color_sigma": np.inf}, "color_sigma is inf"),
-        ({"mode": "fast"}, "mode is 'fast'"),
     ],
 )
 def test_bad_setting_is_a_value_error_that_names_it(function, settings, words):
@@ -240,21 +239,26 @@ def test_kappa_is_cut_off_at_the_ends_of_the_domain():
 
 def test_data_term_of_the_paper_is_minus_the_logarithm():
     candidates = candidates_of_one_window([3.02, 5.0, np.nan], [-100.0, -102.0, -np.inf])
-    cost = data_term(candidates, "paper")[0, 0]
+    cost = data_term(candidates)[0, 0]
     np.testing.assert_allclose(cost, -np.log(artificial_likelihood(candidates))[0, 0], rtol=1e-5)
     # Half-way between candidates nothing is likely: 1e-24, but for the sum.
     np.testing.assert_allclose(cost[40], 24 * np.log(10) + np.log(1.2023 * (1 + np.exp(-2))), 0.001)
 
 
 def test_data_term_of_windows_without_candidates_is_flat():
-    cost = data_term(candidates_of_one_window([np.nan] * 3, [-np.inf] * 3), "paper")
+    cost = data_term(candidates_of_one_window([np.nan] * 3, [-np.inf] * 3))
     assert np.isfinite(cost).all()
     assert np.ptp(cost) == 0
 
 
 def test_data_term_of_the_curve_is_limited_and_0_at_its_maximum(ramp_picture):
     candidates = estimate_candidates(ramp_picture)
-    cost = data_term(candidates, "curve")
+    cost = data_term(candidates)
     np.testing.assert_array_equal(cost.argmin(axis=2), candidates.curve.argmax(axis=2))
     assert cost.min() == 0
     assert cost.max() == labeling._CURVE_WEIGHT * labeling._CURVE_DEPTH
+
+
+def test_blur_map_of_an_unknown_mode_is_a_value_error():
+    with pytest.raises(ValueError, match="mode is 'fast'"):
+        estimate_blur_map(np.zeros((60, 60)), mode="fast")

@@ -11,7 +11,7 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from napari_defocus.gabor import gradients, local_power, window_centers, within_picture
+from napari_defocus.gabor import gradients, local_power, padding, window_centers, within_picture
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood, refine_maxima
 from napari_defocus.noise import evidence_noise_variance
@@ -81,6 +81,10 @@ class BlurCandidates:
     window: int
     stride: int
     mode: Mode
+
+    def places_of_window(self) -> NDArray[np.int64]:
+        """Return how many places share the window of each: (R, C), above 1 along the border."""
+        return _AnalysisGrid.over(self.image_shape, self.window, self.stride).places()
 
     def log_likelihood_at(self, row: float, column: float) -> tuple[Float64, Float64]:
         """Return the likelihood curve at one pixel (the paper's Fig. 6).
@@ -192,7 +196,7 @@ def estimate_candidates(
     if noise_variance is None:
         noise_variance = evidence_noise_variance(picture, psf, window)
     gradient = gradients(picture.luminance, picture.opaque, window)
-    grid = _AnalysisGrid.over(picture.shape, gradient.pad, window, stride)
+    grid = _AnalysisGrid.over(picture.shape, window, stride)
     table = spectrum_table(psf, window, grid.rows[0] % 1, grid.columns[0] % 1, spectra)
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     scales = label_scales(psf)
@@ -272,16 +276,22 @@ class _AnalysisGrid:
     column_of_window: NDArray[np.int64]
 
     @classmethod
-    def over(
-        cls, shape: tuple[int, int], pad: tuple[int, int], window: int, stride: int
-    ) -> _AnalysisGrid:
+    def over(cls, shape: tuple[int, int], window: int, stride: int) -> _AnalysisGrid:
         axes = []
-        for length, extra in zip(shape, pad, strict=True):
+        for length in shape:
+            extra = padding(length, window)
             centers = window_centers(length, stride) + extra
             inside = within_picture(centers, length + 2 * extra, window)
             axes.append(np.unique(inside, return_inverse=True))
         (rows, row_of_window), (columns, column_of_window) = axes
         return cls(rows, columns, row_of_window, column_of_window)
+
+    def places(self) -> NDArray[np.int64]:
+        """Return how many places of the result share the window of each: (R, C)."""
+        rows, columns = (
+            np.bincount(window)[window] for window in (self.row_of_window, self.column_of_window)
+        )
+        return np.multiply.outer(rows, columns)
 
     def blocks(self) -> Iterator[slice]:
         """Cut the rows into blocks: large enough to share their lines, small enough to report."""

@@ -405,7 +405,6 @@ def _blur_map(
         picture,
         smoothness=settings.smoothness,
         color_sigma=settings.color_sigma,
-        mode=settings.mode,
         intensity_range=intensity_range,
         progress=progress,
     )
@@ -424,7 +423,6 @@ def _mask(
         threshold=settings.threshold,
         smoothness=settings.smoothness,
         color_sigma=settings.color_sigma,
-        mode=candidates.mode,
         intensity_range=intensity_range,
         progress=progress,
     )

@@ -94,6 +94,11 @@ def within_picture(centers: NDArray[np.floating], length: int, window: int) -> N
     return np.clip(centers, margin, length - 1 - margin)
 
 
+def padding(length: int, window: int) -> int:
+    """Return how many pixels each end of an axis lacks for a window to fit."""
+    return max(0, -(-(window + 1 - length) // 2))
+
+
 @dataclass(frozen=True)
 class Gradients:
     """Differences of neighbouring pixels, extended so that every window fits.
@@ -113,8 +118,7 @@ class Gradients:
 
 def gradients(luminance: Float32, opaque: NDArray[np.bool_] | None, window: int) -> Gradients:
     """Take both gradients of a picture, (2), mirrored outwards if it is smaller than a window."""
-    height, width = luminance.shape
-    pad = (max(0, -(-(window + 1 - height) // 2)), max(0, -(-(window + 1 - width) // 2)))
+    pad = (padding(luminance.shape[0], window), padding(luminance.shape[1], window))
     if any(pad):
         widths = [(amount, amount) for amount in pad]
         luminance = np.pad(luminance, widths, mode="symmetric")

@@ -13,12 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks, interpolate_labels, label_pixels
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
-from napari_defocus.gabor import within_picture
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
-from napari_defocus.settings import MapSettings, Mode, check_mode, check_weights
+from napari_defocus.settings import MapSettings, Mode, check_weights
 from napari_defocus.spectrum import LABEL_STEP
 
 Float32 = NDArray[np.float32]
@@ -35,12 +34,12 @@ _JUMP = 4
 _REACH = 6
 
 
-def data_term(candidates: BlurCandidates, mode: Mode) -> Float32:
+def data_term(candidates: BlurCandidates) -> Float32:
     """Return D of (14): the cost of each of `candidates.scales` at each window, (R, C, L).
 
-    "paper" takes -log of the artificial likelihood, "curve" 12 times the limited depth.
+    In the mode "paper", -log of the artificial likelihood; in "curve", 12 times the limited depth.
     """
-    if mode == "paper":
+    if candidates.mode == "paper":
         return -np.log(artificial_likelihood(candidates)).astype(np.float32)
     return _CURVE_WEIGHT * limited_depth(candidates)
 
@@ -53,19 +52,8 @@ def limited_depth(candidates: BlurCandidates) -> Float32:
     not n windows; it is weighted by 1 / sqrt(n).
     """
     depth = candidates.curve.max(axis=2, keepdims=True) - candidates.curve
-    weight = 1 / np.sqrt(_places_of_window(candidates))
+    weight = 1 / np.sqrt(candidates.places_of_window())
     return weight[..., None].astype(np.float32) * np.minimum(depth, _CURVE_DEPTH)
-
-
-def _places_of_window(candidates: BlurCandidates) -> NDArray[np.float64]:
-    """Return how many places of the grid each window stands for: (R, C)."""
-    places = []
-    centers = (candidates.row_centers, candidates.column_centers)
-    for position, length in zip(centers, candidates.image_shape, strict=True):
-        inside = within_picture(position, max(length, candidates.window + 1), candidates.window)
-        _, window, count = np.unique(inside, return_inverse=True, return_counts=True)
-        places.append(count[window])
-    return np.multiply.outer(*places)
 
 
 def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
@@ -90,7 +78,6 @@ def label_blur_map(
     *,
     smoothness: float = MapSettings.smoothness,
     color_sigma: float = MapSettings.color_sigma,
-    mode: Mode = MapSettings.mode,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> Float32:
@@ -103,7 +90,10 @@ def label_blur_map(
     Parameters
     ----------
     candidates : BlurCandidates
-        From `estimate_candidates` on the same picture.
+        From `estimate_candidates` on the same picture. Their mode decides: "paper" takes the
+        artificial likelihood of three candidates, labelled by expansion moves; "curve" the
+        whole likelihood curve, which follows steep blur better, labelled by range moves and
+        expansions from coarse to fine, which is faster.
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its colours.
     smoothness : float, optional
@@ -111,10 +101,6 @@ def label_blur_map(
     color_sigma : float, optional
         sigma_lambda of (16), intensities in [0, 1]: neighbours whose colours differ by more
         may differ in blur at little cost.
-    mode : {"curve", "paper"}, optional
-        "paper": the artificial likelihood of three candidates, labelled by expansion moves.
-        "curve": the whole likelihood curve, which follows steep blur better, labelled by
-        range moves and expansions from coarse to fine, which is faster.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
     progress : callable, optional
@@ -131,7 +117,7 @@ def label_blur_map(
         If `image` has no real dtype.
     ValueError
         If `image` is no picture (see `estimate_candidates`) or another one than that of
-        `candidates`, if `smoothness` is negative, `color_sigma` not positive, or `mode` unknown.
+        `candidates`, if `smoothness` is negative or `color_sigma` not positive.
 
     References
     ----------
@@ -149,13 +135,12 @@ def label_blur_map(
     3.0
     """
     check_weights(smoothness, color_sigma)
-    check_mode(mode)
     picture = picture_of(candidates, image, intensity_range)
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
-    cost = data_term(candidates, mode)
+    cost = data_term(candidates)
     block_cost = cost * blocks.area[..., None]
     weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
-    minimize = expand_until_settled if mode == "paper" else minimize_energy
+    minimize = expand_until_settled if candidates.mode == "paper" else minimize_energy
     labels = minimize(block_cost, weights, within(progress, 0.0, 0.7, "Making the map coherent"))
     progress("Following the picture's edges", 0.7)
     pixels = label_pixels(
@@ -193,9 +178,9 @@ def estimate_blur_map(
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         Any real dtype; integers are scaled by their dtype's range, floats are taken as
         [0, 1]. A fourth channel is opacity.
-    psf, noise_variance, window, stride
+    psf, noise_variance, window, stride, mode
         See `estimate_candidates`.
-    smoothness, color_sigma, mode
+    smoothness, color_sigma
         See `label_blur_map`.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
@@ -237,7 +222,6 @@ def estimate_blur_map(
         image,
         smoothness=smoothness,
         color_sigma=color_sigma,
-        mode=mode,
         intensity_range=intensity_range,
         progress=within(progress, 0.4, 1.0),
     )

@@ -11,10 +11,7 @@ from napari_defocus.graphcut import solve_exactly
 from napari_defocus.labeling import data_term, limited_depth, picture_of
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.settings import (
-    MapSettings,
     MaskSettings,
-    Mode,
-    check_mode,
     check_threshold,
     check_weights,
 )
@@ -31,7 +28,6 @@ def segment_in_focus(
     threshold: float = MaskSettings.threshold,
     smoothness: float = MaskSettings.smoothness,
     color_sigma: float = MaskSettings.color_sigma,
-    mode: Mode = MapSettings.mode,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.uint8]:
@@ -53,8 +49,6 @@ def segment_in_focus(
         lambda_0 of (16) for a boundary between two pixels. Larger masks have fewer parts.
     color_sigma : float, optional
         sigma_lambda of (16), intensities in [0, 1].
-    mode : {"curve", "paper"}, optional
-        What scales cost, as in `label_blur_map`.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
     progress : callable, optional
@@ -84,12 +78,11 @@ def segment_in_focus(
     0
     """
     check_weights(smoothness, color_sigma)
-    check_mode(mode)
     check_threshold(threshold, float(candidates.scales[-1]))
     picture = picture_of(candidates, image, intensity_range)
     step = "Separating focus from blur"
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
-    cost = focus_cost(candidates, threshold, mode)
+    cost = focus_cost(candidates, threshold)
     weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
     progress(step, 0.0)
     labels = solve_exactly(cost * blocks.area[..., None], weights)
@@ -109,15 +102,15 @@ def segment_in_focus(
     return mask.astype(np.uint8)
 
 
-def focus_cost(candidates: BlurCandidates, threshold: float, mode: Mode) -> Float32:
+def focus_cost(candidates: BlurCandidates, threshold: float) -> Float32:
     """Return D of (18) at each window, blurred and in focus: (R, C, 2).
 
-    "curve" takes 4 times the limited depth: at most 60, where the paper's artificial likelihood
-    costs at most 55, so that the paper's smoothness goes with both.
+    The mode "curve" takes 4 times the limited depth: at most 60, where the paper's artificial
+    likelihood costs at most 55, so that the paper's smoothness goes with both.
     """
     cost = (
-        data_term(candidates, mode)
-        if mode == "paper"
+        data_term(candidates)
+        if candidates.mode == "paper"
         else _CURVE_WEIGHT * limited_depth(candidates)
     )
     sharp = candidates.scales <= threshold + 1e-9

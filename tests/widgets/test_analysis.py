@@ -70,7 +70,7 @@ def test_settings_reach_the_method(viewer, layer, method):
     assert estimation["psf"].max_radius == 5.0
     assert estimation["noise_variance"] == 2e-5
     assert method.labelings[0]["color_sigma"] == 0.3
-    assert method.labelings[0]["mode"] == MapSettings.mode
+    assert method.estimations[0]["mode"] == MapSettings.mode
     assert method.segmentations[0]["threshold"] == 1.2
     assert method.segmentations[0]["smoothness"] == MaskSettings.smoothness
 

@@ -104,7 +104,6 @@ class Analysis:
             image,
             smoothness=self.estimation.smoothness,
             color_sigma=self.estimation.color_sigma,
-            mode=self.estimation.mode,
             intensity_range=span,
             progress=progress,
         )
@@ -126,7 +125,6 @@ class Analysis:
             threshold=self.mask.threshold,
             smoothness=self.mask.smoothness,
             color_sigma=self.mask.color_sigma,
-            mode=self.estimation.mode,
             intensity_range=span,
             progress=progress,
         )
