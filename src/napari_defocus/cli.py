@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import sys
 import time
 import warnings
@@ -17,15 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import napari_defocus
-from napari_defocus.progress import Progress, silent, within
+from napari_defocus.progress import Progress, within
 from napari_defocus.settings import MapSettings, MaskSettings, Mode, check_threshold
+from napari_defocus.terminal import errors_in_one_line, print_result, progress_in_terminal
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_defocus.candidates import BlurCandidates
-
-FAILED, INTERRUPTED = 2, 130
 
 CANDIDATES_SHARE = 0.7
 """Roughly how much of the time goes into the candidates; for the progress bar only."""
@@ -269,62 +267,14 @@ def demonstrate(
 
 def _run(measure: Callable[[Progress], dict[str, Any]], as_json: bool, quiet: bool) -> None:
     started = time.perf_counter()
-    with _errors_in_one_line():
-        with _progress_in_terminal(quiet) as progress:
+    with errors_in_one_line():
+        with progress_in_terminal(quiet) as progress:
             facts = measure(progress)
         facts["seconds"] = round(time.perf_counter() - started, 2)
         if as_json:
-            _print(json.dumps(facts))
+            print_result(json.dumps(facts))
         elif not quiet:
-            _print("\n".join(_lines(facts)))
-
-
-@contextmanager
-def _errors_in_one_line() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        _complain("interrupted")
-        raise typer.Exit(INTERRUPTED) from None
-    except MemoryError:
-        _complain("there is not enough memory for this picture")
-        raise typer.Exit(FAILED) from None
-    except (OSError, TypeError, ValueError) as error:
-        _complain(str(error))
-        raise typer.Exit(FAILED) from None
-    except Exception as error:
-        _complain(f"{type(error).__name__}: {error}")
-        raise typer.Exit(FAILED) from None
-
-
-def _complain(message: str) -> None:
-    typer.echo(f"napari-defocus: {' '.join(message.split())}", err=True)
-
-
-@contextmanager
-def _progress_in_terminal(quiet: bool) -> Iterator[Progress]:
-    if quiet or not sys.stderr.isatty():
-        yield silent
-        return
-    from rich import progress
-    from rich.console import Console
-
-    columns = progress.TextColumn("{task.description}"), progress.BarColumn()
-    bar = progress.Progress(
-        *columns, progress.TaskProgressColumn(), console=Console(stderr=True), transient=True
-    )
-    with bar:
-        task = bar.add_task("reading", total=1.0)
-        yield lambda step, done: bar.update(task, description=step, completed=done)
-
-
-def _print(text: str) -> None:
-    try:
-        print(text, flush=True)
-    except OSError as error:
-        # Or the interpreter would try to flush the same text again when it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise OSError(f"cannot print the result: {error.strerror}") from error
+            print_result("\n".join(_lines(facts)))
 
 
 def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
