@@ -67,6 +67,7 @@ class _Comet:
     """A PSF that is no disc: all light goes `scale` px to the right."""
 
     max_scale = 4.0
+    scale_name = "shift (px)"
 
     def kernel(self, scale):
         kernel = np.zeros((9, 9))
