@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.fft import fft, fft2, next_fast_len
 from scipy.interpolate import CubicSpline
 
 from napari_defocus.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
-from napari_defocus.psf import PSFFamily
-from napari_defocus.settings import Spectra
+from napari_defocus.psf import PSFFamily, as_family
+from napari_defocus.settings import MapSettings, Spectra
 
 Float64 = NDArray[np.floating]
 
@@ -22,10 +24,12 @@ LABEL_STEP = 0.1
 
 _TABLE_STEP = 0.02
 _FIT_STEP = 0.1
-_FIT_DEGREE = 20
+_LOWEST_POWERS = (0, -1, -2, -3, -4)
+_AS_GOOD = 1.1
+_INDISTINCT = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SpectrumTable:
     """Blur spectra sigma_i^2(r) with two derivatives, and noise spectra, of both gradients.
 
@@ -56,17 +60,17 @@ class SpectrumTable:
         return self.value[np.rint(scales / self.step).astype(int)]
 
 
-def check_windows(psf: PSFFamily, window: int) -> None:
-    """Check a PSF family and the side of the windows that are to see its blur, in px."""
-    if not isinstance(psf, PSFFamily) or isinstance(psf, type):
-        raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
+def check_windows(psf: PSFFamily | Callable[[float], ArrayLike], window: int) -> PSFFamily:
+    """Return the PSF family, after a check of it and of the windows' side in px."""
+    family = as_family(psf)
     if not isinstance(window, (int, np.integer)) or window % 2 == 0 or window < MIN_WINDOW:
         raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
-    if 2 * psf.max_scale > window:
+    if 2 * family.max_scale > window:
         raise ValueError(
-            f"psf has a largest scale of {psf.max_scale} px; "
+            f"psf has a largest scale of {family.max_scale} px; "
             f"a window of {window} px takes at most {window / 2} px"
         )
+    return family
 
 
 def label_scales(psf: PSFFamily) -> Float64:
@@ -88,23 +92,29 @@ def spectrum_table(
     row_fraction, column_fraction : float
         Fractional part, 0 or 0.5, of the windows' centres in px.
     spectra : {"exact", "fitted"}
-        (6) evaluated at every scale of the table, or (12) fitted to samples 0.1 px apart.
+        (6) evaluated at every scale of the table, or the fit (12).
     """
-    size = next_fast_len(window + 1 + psf.kernel(psf.max_scale).shape[0])
-    filters = [
-        FilterPower.of_window(window, row_fraction, 0.5 - column_fraction, size),
-        FilterPower.of_window(window, 0.5 - row_fraction, column_fraction, size),
-    ]
-    noise = np.stack([filters[0].noise_spectrum(axis=1), filters[1].noise_spectrum(axis=0)])
+    of_windows = (window, row_fraction, column_fraction)
     count = int(np.ceil(psf.max_scale / _TABLE_STEP - 1e-6))
-    dense = np.linspace(0, psf.max_scale, count + 1)
-    if spectra == "exact":
-        log_blur = CubicSpline(dense, np.log(blur_spectra(psf, dense, filters)))
-    else:
-        samples = np.linspace(0, psf.max_scale, int(np.ceil(psf.max_scale / _FIT_STEP)) + 1)
-        log_blur = fit_log_spectra(samples, blur_spectra(psf, samples, filters))
-    value, slope, curvature = np.exp(log_blur(dense)), log_blur(dense, 1), log_blur(dense, 2)
-    return SpectrumTable(dense, value, value * slope, value * (curvature + slope**2), noise)
+    scales = np.linspace(0, psf.max_scale, count + 1)
+    log_blur = (
+        CubicSpline(scales, log_blur_spectra(psf, scales, *of_windows))
+        if spectra == "exact"
+        else fit_spectra(psf, *of_windows)
+    )
+    value, slope, curvature = np.exp(log_blur(scales)), log_blur(scales, 1), log_blur(scales, 2)
+    noise = FilterPower.of_window(*of_windows, largest=2).noise_spectra()
+    return SpectrumTable(scales, value, value * slope, value * (curvature + slope**2), noise)
+
+
+def log_blur_spectra(
+    psf: PSFFamily, scales: Float64, window: int, row_fraction: float, column_fraction: float
+) -> Float64:
+    """Evaluate the logarithm of (6) for every scale: (len(scales), 2, F)."""
+    kernels = [psf.kernel(float(scale)) for scale in scales]
+    largest = max(len(kernel) for kernel in kernels)
+    filters = FilterPower.of_window(window, row_fraction, column_fraction, largest)
+    return np.log([filters.blur_spectra(kernel) for kernel in kernels])
 
 
 @dataclass(frozen=True)
@@ -113,8 +123,8 @@ class FilterPower:
 
     Attributes
     ----------
-    rows, columns : (F, M) float64 ndarray
-        The two factors of each filter's power.
+    rows, columns : (2, F, M) float64 ndarray
+        The two factors of each filter's power, for the horizontal and the vertical gradient.
     """
 
     rows: Float64
@@ -122,27 +132,42 @@ class FilterPower:
 
     @classmethod
     def of_window(
-        cls, window: int, row_fraction: float, column_fraction: float, size: int
+        cls, window: int, row_fraction: float, column_fraction: float, largest: int
     ) -> FilterPower:
-        """Transform the filters of a window whose samples lie at these fractions of a px."""
+        """Transform the filters of a window whose centre lies at these fractions of a px.
+
+        `largest` is the side of the largest kernel, in px.
+        """
+        size = next_fast_len(window + largest)
         row, column = frequencies(window).T
-        return cls(
-            _axis_power(axis_filters(window, abs(row_fraction)), row, size),
-            _axis_power(axis_filters(window, abs(column_fraction)), column, size),
+        rows, columns = (
+            np.stack(
+                [
+                    _axis_power(axis_filters(window, abs(fraction - offset)), cycles, size)
+                    for offset in offsets
+                ]
+            )
+            for fraction, cycles, offsets in (
+                (row_fraction, row, (0.0, 0.5)),
+                (column_fraction, column, (0.5, 0.0)),
+            )
         )
+        return cls(rows, columns)
 
-    def noise_spectrum(self, axis: int) -> Float64:
-        """Evaluate (7), sum |grad * t_i|^2, for the gradient along one axis: (F,)."""
-        size = self.rows.shape[1]
+    def noise_spectra(self) -> Float64:
+        """Evaluate (7), sum |grad * t_i|^2, for both gradients: (2, F)."""
+        size = self.rows.shape[2]
         difference = 4 * np.sin(np.pi * np.arange(size) / size) ** 2
-        weights = [difference if axis == i else np.ones(size) for i in (0, 1)]
-        return (self.rows @ weights[0]) * (self.columns @ weights[1]) / size**2
+        all_ones = np.ones(size)
+        rows = self.rows @ np.stack([all_ones, difference])[:, :, None]
+        columns = self.columns @ np.stack([difference, all_ones])[:, :, None]
+        return (rows * columns)[..., 0] / size**2
 
-    def blur_spectrum(self, kernel: Float64) -> Float64:
-        """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem: (F,)."""
-        size = self.rows.shape[1]
+    def blur_spectra(self, kernel: Float64) -> Float64:
+        """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (2, F)."""
+        size = self.rows.shape[2]
         kernel_power = np.abs(fft2(kernel, (size, size))) ** 2
-        return np.einsum("fi,fi->f", self.rows @ kernel_power, self.columns) / size**2
+        return np.einsum("dfi,dfi->df", self.rows @ kernel_power, self.columns) / size**2
 
 
 def _axis_power(filters: AxisFilters, cycles: NDArray[np.int64], size: int) -> Float64:
@@ -153,39 +178,217 @@ def _axis_power(filters: AxisFilters, cycles: NDArray[np.int64], size: int) -> F
     return np.abs(fft(wave.T, size)) ** 2
 
 
-def blur_spectra(psf: PSFFamily, scales: Float64, filters: list[FilterPower]) -> Float64:
-    """Evaluate (6) for every scale: (len(scales), len(filters), F)."""
-    kernels = [psf.kernel(scale) for scale in scales]
-    return np.array([[power.blur_spectrum(kernel) for power in filters] for kernel in kernels])
-
-
 @dataclass(frozen=True)
 class LogPolynomial:
-    """The fitted log sigma_i^2(r) of (12): a polynomial in r, kept in Chebyshev form.
+    """The fitted log sigma_i^2(r) of (12): a sum of the powers r^p to r^q.
 
-    The powers p..q of (12) run from p = 0: negative ones diverge at r = 0, which belongs to
-    the domain.
+    It is kept as (r / stop)^p times Chebyshev polynomials, which is the same sum in a form that
+    rounding does not harm.
 
     Attributes
     ----------
-    coefficients : (q + 1, ...) float64 ndarray
-    stop : float
-        Upper end of the domain [0, stop], in px.
+    coefficients : (q - p + 1, ...) float64 ndarray
+        Of the Chebyshev polynomials over [start, stop].
+    lowest : int
+        p, 0 or negative.
+    start, stop : float
+        Domain of the fit, in px. Below it the PSF is a point and the logarithm 0.
     """
 
     coefficients: Float64
+    lowest: int
+    start: float
     stop: float
 
+    @property
+    def highest(self) -> int:
+        """The exponent q."""
+        return self.lowest + len(self.coefficients) - 1
+
     def __call__(self, scales: Float64, derivative: int = 0) -> Float64:
-        """Evaluate the polynomials or a derivative in r: (len(scales), ...)."""
-        series = chebyshev.chebder(self.coefficients, derivative, scl=2 / self.stop)
-        return np.moveaxis(chebyshev.chebval(2 * scales / self.stop - 1, series), -1, 0)
+        """Evaluate the sums or a derivative in r: (len(scales), ...)."""
+        inside = scales > self.start
+        r = scales[inside]
+        log_blur = np.zeros((len(scales), *self.coefficients.shape[1:]))
+        # Leibniz' rule for (r / stop)^p times the series.
+        for order in range(derivative + 1):
+            falling = math.prod(range(self.lowest, self.lowest - order, -1))
+            power = r ** float(self.lowest - order) / self.stop**self.lowest
+            factor = math.comb(derivative, order) * falling * power
+            series = self._series(r, derivative - order)
+            log_blur[inside] += np.moveaxis(factor * series, -1, 0)
+        return log_blur
+
+    def _series(self, scales: Float64, derivative: int) -> Float64:
+        span = self.stop - self.start
+        series = chebyshev.chebder(self.coefficients, derivative, scl=2 / span)
+        return chebyshev.chebval(2 * (scales - self.start) / span - 1, series)
 
 
-def fit_log_spectra(scales: Float64, spectra: Float64, degree: int = _FIT_DEGREE) -> LogPolynomial:
-    """Fit (12) to sampled spectra, (M, ...), in the least-squares sense of their logarithm."""
-    stop = float(scales[-1])
-    basis = chebyshev.chebvander(2 * scales / stop - 1, min(degree, len(scales) - 1))
-    flat = np.log(spectra).reshape(len(scales), -1)
+def fit_spectra(
+    psf: PSFFamily, window: int, row_fraction: float, column_fraction: float
+) -> LogPolynomial:
+    """Fit (12) to as many samples of a family's spectra as 0.1 px between them would give.
+
+    The domain starts where the PSF stops being a point. The samples are closer to each other at
+    the domain's ends, where sums of powers would swing between evenly spaced ones (Runge).
+    Half-way between the samples stand those that the exponents are chosen by.
+    """
+    start, stop = _end_of_point(psf), psf.max_scale
+    count = math.ceil((stop - start) / _FIT_STEP)
+    angle = np.pi * np.arange(2 * count + 1) / (2 * count)
+    scales = start + (stop - start) * (1 - np.cos(angle)) / 2
+    log_blur = log_blur_spectra(psf, scales, window, row_fraction, column_fraction)
+    return fit_log_spectra(scales[::2], log_blur[::2], scales[1::2], log_blur[1::2])
+
+
+def fit_log_spectra(
+    scales: Float64, log_blur: Float64, held_out: Float64, held_out_log_blur: Float64
+) -> LogPolynomial:
+    """Fit (12) to sampled spectra; other samples decide on its exponents.
+
+    Parameters
+    ----------
+    scales : (M,) float64 ndarray
+        Increasing, in px; p may be negative if they start above 0.
+    log_blur : (M, ...) float64 ndarray
+        log sigma_i^2 there, fitted in the least-squares sense.
+    held_out, held_out_log_blur : (L,) and (L, ...) float64 ndarray
+        Samples between them. Of all fits whose rms error there is at most 10 % above the best
+        one's, the one with the fewest powers is taken, and of those the one with the best.
+
+    Returns
+    -------
+    LogPolynomial
+    """
+    start, stop = float(scales[0]), float(scales[-1])
+    flat = log_blur.reshape(len(scales), -1)
+    held_out_flat = held_out_log_blur.reshape(len(held_out), -1)
+    fits = []
+    for lowest in _LOWEST_POWERS if start > 0 else _LOWEST_POWERS[:1]:
+        basis = _powers(scales, start, stop, len(scales), lowest)
+        held_out_basis = _powers(held_out, start, stop, len(scales), lowest)
+        orthonormal, triangle = np.linalg.qr(basis)
+        projected = orthonormal.T @ flat
+        coordinates = np.linalg.solve(triangle.T, held_out_basis.T)
+        # An orthonormal basis has the fits with fewer powers within that with all.
+        fitted = np.cumsum(coordinates[:, :, None] * projected[:, None], axis=0)
+        errors = np.sqrt(np.mean((fitted - held_out_flat) ** 2, axis=(1, 2)))
+        fits += [(count + 1, error, lowest) for count, error in enumerate(errors)]
+    best = min(error for _, error, _ in fits)
+    count, _, lowest = min(fit for fit in fits if fit[1] <= _AS_GOOD * best)
+    basis = _powers(scales, start, stop, count, lowest)
     coefficients = np.linalg.lstsq(basis, flat, rcond=None)[0]
-    return LogPolynomial(coefficients.reshape(-1, *spectra.shape[1:]), stop)
+    return LogPolynomial(coefficients.reshape(-1, *log_blur.shape[1:]), lowest, start, stop)
+
+
+def _powers(scales: Float64, start: float, stop: float, count: int, lowest: int) -> Float64:
+    """Evaluate the functions that `LogPolynomial` sums: (len(scales), count)."""
+    place = 2 * (scales - start) / (stop - start) - 1
+    power = (scales / stop) ** float(lowest)
+    return chebyshev.chebvander(place, count - 1) * power[:, None]
+
+
+def _end_of_point(psf: PSFFamily) -> float:
+    """Return the scale up to which the kernel is a point, in px."""
+    low, high = 0.0, psf.max_scale
+    while high - low > _INDISTINCT:
+        middle = (low + high) / 2
+        if psf.kernel(middle).max() > 1 - _INDISTINCT:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@dataclass(frozen=True, eq=False)
+class FitReport:
+    """How close the fit (12) comes to the spectra (6).
+
+    Attributes
+    ----------
+    scales : (M,) float64 ndarray
+        Where they are compared, in px: over the fit's domain, 0.02 px apart.
+    frequencies : (F, 2) float64 ndarray
+        Of the filters, along rows and columns, in cycles/px.
+    log_errors : (M, 2, F) float64 ndarray
+        log of the fitted over the exact spectra of the horizontal and the vertical gradient.
+    lowest, highest : int
+        The exponents p and q that were chosen.
+    """
+
+    scales: Float64
+    frequencies: Float64
+    log_errors: Float64
+    lowest: int
+    highest: int
+
+    @property
+    def rms(self) -> float:
+        """The root mean square of the errors."""
+        return float(np.sqrt(np.mean(self.log_errors**2)))
+
+    @property
+    def maximum(self) -> float:
+        """The largest error, without its sign."""
+        return float(np.abs(self.log_errors).max())
+
+    def __str__(self) -> str:
+        """Write the errors over the scale and over the frequency as two small tables."""
+        of_frequency = np.hypot(*self.frequencies.T)
+        lines = [
+            f"fit (12) with powers {self.lowest} to {self.highest}: "
+            f"rms log error {self.rms:.4f}, largest {self.maximum:.3f}"
+        ]
+        lines += _error_rows("scale (px)", self.scales, 1.0, self.log_errors)
+        by_frequency = np.moveaxis(self.log_errors, 2, 0)
+        lines += _error_rows("cycles/px", of_frequency, 0.05, by_frequency)
+        return "\n".join(lines)
+
+
+def _error_rows(name: str, values: Float64, width: float, errors: Float64) -> list[str]:
+    """Write rms and largest error of the values in each interval."""
+    rows = [f"{name:>12} {'rms':>8} {'largest':>8}"]
+    interval = (values / width).astype(int)
+    for k in np.unique(interval):
+        part = errors[interval == k]
+        where = f"{k * width:g} to {(k + 1) * width:g}"
+        rms = np.sqrt(np.mean(part**2))
+        rows.append(f"{where:>12} {rms:8.4f} {np.abs(part).max():8.3f}")
+    return rows
+
+
+def fit_report(
+    psf: PSFFamily | Callable[[float], ArrayLike], window: int = MapSettings.window
+) -> FitReport:
+    """Compare the fit (12) of a family's spectra with the spectra (6) themselves.
+
+    Parameters
+    ----------
+    psf : PSFFamily or callable
+    window : int, optional
+        N, the side of the analysis window in px; odd.
+
+    Returns
+    -------
+    FitReport
+        Printing it shows the errors over the scale and over the frequency.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `psf` is no family, or `window` no odd number from 17 up of at least twice the
+        family's largest scale.
+
+    Examples
+    --------
+    >>> from napari_defocus import Disc
+    >>> fit_report(Disc()).rms < 0.03
+    True
+    """
+    family = check_windows(psf, window)
+    of_windows = (window, 0.0, 0.0)
+    fit = fit_spectra(family, *of_windows)
+    scales = np.arange(fit.start + _TABLE_STEP, fit.stop, _TABLE_STEP)
+    log_errors = fit(scales) - log_blur_spectra(family, scales, *of_windows)
+    return FitReport(scales, frequencies(window) / window, log_errors, fit.lowest, fit.highest)
