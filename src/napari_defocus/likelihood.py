@@ -10,12 +10,14 @@ Both gradients are used: their log-likelihoods, each with its own s, are added.
 Pictures are not what (2) assumes: fences, stems and borders put their power into few of the
 frequencies. Where the model fits badly, its likelihood is far too sure of itself. So each
 gradient's log-likelihood is divided by its dispersion, the mean square of
-q_i / (1 + s a_i) - 1 at the best scale, which is 1 for the exponential distribution of (5),
+q_i / (1 + s a_i) - 1 at the likely scales, which is 1 for the exponential distribution of (5),
 and is taken as at least 1: a quasi-likelihood (McCullagh and Nelder, Generalized Linear
 Models, chapter 9). Everything here takes the dispersion as given; 1 is the paper's likelihood.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 from numba import njit, prange
@@ -29,11 +31,21 @@ Float64 = NDArray[np.floating]
 SILENCE = 1e-12
 """Smallest noise variance in use: a picture without any noise still has finite likelihoods."""
 
+_LANES = 16
+_LEAST_LOG, _LARGEST_LOG, _LOG_STEP = np.float32(-20), np.float32(60), np.float32(0.5)
+_FIRST_LOG = np.float32(7)
+_LEAST_SIGNAL = np.float32(0.1)
+_LIMIT = np.float32(1)
+_MOST_ROUNDS = 6
+_RETRY = 4
+_NEARLY_BEST = np.float32(6)
+_SETTLED = np.float32(0.02)
+
 _PADDED = 16
 _SMALLEST = np.float32(1e-6)
-_FIRST_ROUNDS = 8
-_NEXT_ROUNDS = 3
-_NEWTON_ROUNDS = 4
+_FIRST_ROUNDS = 16
+_NEWTON_ROUNDS = 8
+_CLOSE_ENOUGH = 5e-4
 FAST_BUT_NAN = {"reassoc", "contract", "arcp", "nsz", "afn"}
 """Everything that fastmath allows but the assumption that no value is NaN or infinite."""
 
@@ -61,7 +73,7 @@ def profile_log_likelihood(
     -------
     (P, R) float32 ndarray
     """
-    return _curves_and_dispersion(power, table, scales, noise_variance)[0].sum(axis=1)
+    return _curves(power, table, scales, noise_variance, quasi=False)[0]
 
 
 def quasi_log_likelihood(
@@ -75,59 +87,229 @@ def quasi_log_likelihood(
     dispersion : (P, 2) float32 ndarray
         From 1 up.
     """
-    curves, dispersion = _curves_and_dispersion(power, table, scales, noise_variance)
-    return (curves / dispersion[..., None]).sum(axis=1), dispersion
+    return _curves(power, table, scales, noise_variance, quasi=True)
 
 
-def _curves_and_dispersion(
-    power: Float32, table: SpectrumTable, scales: Float64, noise_variance: float
+def _curves(
+    power: Float32, table: SpectrumTable, scales: Float64, noise_variance: float, quasi: bool
 ) -> tuple[Float32, Float32]:
-    """Return log p(r) of each gradient, (P, 2, R), and its dispersion, (P, 2)."""
     noise = noise_power(table, noise_variance)
-    gain = _padded(table.at(scales) / noise, 0.0)
-    relative = _padded(power * (1 / noise).astype(np.float32), 1.0)
-    curves, dispersion = _profile_curves(relative, gain, noise.shape[1])
-    padding = gain.shape[2] - noise.shape[1]
-    curves += (padding - np.log(noise).sum(axis=1)).astype(np.float32)[:, None]
-    return curves, dispersion
+    relative = power * (1 / noise).astype(np.float32)
+    offset = np.log(noise).sum(axis=1).astype(np.float32)
+    return _profile_curves(relative, *_curve_tables(table, tuple(scales)), offset, quasi)
 
 
-def _padded(values: NDArray[np.floating], filling: float) -> Float32:
-    """Fill the last axis up to whole vector registers; a_i = 0, q_i = 1 adds the constant 1."""
-    missing = -values.shape[-1] % _PADDED
-    widths = [(0, 0)] * (values.ndim - 1) + [(0, missing)]
-    return np.pad(values, widths, constant_values=filling).astype(np.float32)
+@lru_cache(maxsize=16)
+def _curve_tables(table: SpectrumTable, scales: tuple[float, ...]) -> tuple[Float32, Float32]:
+    """Return a_i(r) for noise of variance 1, and sum_i log(1 + s a_i(r)) over log s.
+
+    The sum does not depend on the picture, so that it need not be taken for every window. It is
+    kept with its derivative in log s, for cubic Hermite interpolation.
+
+    Returns
+    -------
+    gain : (R, 2, F) float32 ndarray
+    log_sums : (R, 2, 2, T) float32 ndarray
+        Value, and derivative times _LOG_STEP, at log s = _LEAST_LOG, _LEAST_LOG + _LOG_STEP, ...
+    """
+    gain = table.at(np.array(scales)) / table.noise
+    log_s = np.arange(_LEAST_LOG, _LARGEST_LOG + _LOG_STEP / 2, _LOG_STEP)
+    log_sums = np.empty((*gain.shape[:2], 2, len(log_s)), np.float32)
+    for t, strength in enumerate(np.exp(log_s)):
+        variance = 1 + strength * gain
+        log_sums[..., 0, t] = np.log(variance).sum(axis=-1)
+        log_sums[..., 1, t] = _LOG_STEP * (1 - 1 / variance).sum(axis=-1)
+    return gain.astype(np.float32), log_sums
 
 
 @njit(cache=True, parallel=True, fastmath=True, nogil=True)
-def _profile_curves(relative: Float32, gain: Float32, frequencies: int) -> tuple[Float32, Float32]:
-    points, directions, _ = relative.shape
-    count = gain.shape[0]
-    curves = np.empty((points, directions, count), np.float32)
+def _profile_curves(
+    relative: Float32, gain: Float32, log_sums: Float32, offset: Float32, quasi: bool
+) -> tuple[Float32, Float32]:
+    """Follow the best s from scale to scale, for _LANES windows at a time.
+
+    The lanes are those of the processor's vectors: no sum over frequencies goes across them.
+    """
+    points, directions, frequencies = relative.shape
+    count, zero, one = gain.shape[0], np.float32(0), np.float32(1)
+    curves = np.empty((points, count), np.float32)
     dispersion = np.ones((points, directions), np.float32)
-    for point in prange(points):
-        strength = np.empty((directions, count), np.float32)
+    for group in prange((points + _LANES - 1) // _LANES):
+        first = group * _LANES
+        lanes = min(_LANES, points - first)
+        q = np.ones((directions, frequencies, _LANES), np.float32)
+        for lane in range(lanes):
+            for direction in range(directions):
+                for i in range(frequencies):
+                    q[direction, i, lane] = relative[first + lane, direction, i]
+        height = np.empty((directions, count, _LANES), np.float32)
+        total = np.zeros((count, _LANES), np.float32)
+        strength = np.empty((directions, count, _LANES), np.float32)
+        s, log_s = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
+        before, deviance = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
+        at_zero, gains = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
+        q_v, q_vv = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
+        q_vvv = np.empty(_LANES, np.float32)
         for direction in range(directions):
-            q = relative[point, direction]
-            s = np.float32(1e3)
-            rounds = _FIRST_ROUNDS
+            for lane in range(_LANES):
+                at_zero[lane] = q[direction, :, lane].sum()
+                log_s[lane] = _first_log(q[direction, :, lane], gain[0, direction])
+                before[lane] = log_s[lane]
             for scale in range(count):
-                a = gain[scale, direction]
-                for _ in range(rounds):
-                    s = _next_strength(q, a, s)
-                rounds = _NEXT_ROUNDS
-                strength[direction, scale] = s
-                curves[point, direction, scale] = -_deviance(q, a, s)
-        best = 0
-        for scale in range(count):
-            if curves[point, :, scale].sum() > curves[point, :, best].sum():
-                best = scale
-        for direction in range(directions):
-            misfit = _misfit(
-                relative[point, direction], gain[best, direction], strength[direction, best]
-            )
-            dispersion[point, direction] = max(np.float32(1), misfit / frequencies)
+                a, log_sum = gain[scale, direction], log_sums[scale, direction]
+                least = np.log(_LEAST_SIGNAL / a.max())
+                for lane in range(_LANES):
+                    # s changes by nearly the same factor from scale to scale.
+                    change = min(max(log_s[lane] - before[lane], -one), one)
+                    before[lane] = log_s[lane]
+                    log_s[lane] = min(max(log_s[lane] + change, least), _LARGEST_LOG)
+                    if scale % _RETRY == _RETRY - 1 and deviance[lane] >= at_zero[lane]:
+                        # s = 0 was best, but that may be one of two minima.
+                        log_s[lane] = least + _LIMIT * 3
+                    s[lane] = np.exp(log_s[lane])
+                for _ in range(_MOST_ROUNDS if scale > 0 else _FIRST_ROUNDS):
+                    _moments(q[direction], a, s, q_v, q_vv, q_vvv)
+                    _scoring_step(
+                        log_sum, least, at_zero, q_v, q_vv, q_vvv, s, log_s, deviance, gains
+                    )
+                    if gains.max() < _SETTLED:
+                        break
+                for lane in range(_LANES):
+                    least_deviance = min(deviance[lane], at_zero[lane]) + offset[direction]
+                    height[direction, scale, lane] = -least_deviance
+                    total[scale, lane] -= least_deviance
+                    strength[direction, scale, lane] = s[lane]
+        for lane in range(lanes):
+            row = first + lane
+            if quasi:
+                best, weight = total[:, lane].max(), zero
+                misfit = np.zeros(directions, np.float32)
+                for scale in range(count):
+                    below = best - total[scale, lane]
+                    if below > _NEARLY_BEST:
+                        continue
+                    share = np.exp(-below)
+                    weight += share
+                    for direction in range(directions):
+                        misfit[direction] += share * _misfit(
+                            relative[row, direction],
+                            gain[scale, direction],
+                            strength[direction, scale, lane],
+                        )
+                for direction in range(directions):
+                    mean_square = misfit[direction] / (weight * frequencies)
+                    dispersion[row, direction] = max(one, mean_square)
+            for scale in range(count):
+                curves[row, scale] = 0
+                for direction in range(directions):
+                    curves[row, scale] += (
+                        height[direction, scale, lane] / dispersion[row, direction]
+                    )
     return curves, dispersion
+
+
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _exp(x: np.float32) -> np.float32:
+    """Return exp(x) to 1e-5 of it for |x| up to 1: Pade's approximant of order (3, 3)."""
+    even = np.float32(120) + np.float32(12) * x * x
+    odd = x * (np.float32(60) + x * x)
+    return (even + odd) / (even - odd)
+
+
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _moments(
+    q: Float32, a: Float32, s: Float32, q_v: Float32, q_vv: Float32, q_vvv: Float32
+) -> None:
+    """Sum q / v, q / v^2 and q / v^3 over the frequencies, with v = 1 + s a, in every lane."""
+    one = np.float32(1)
+    for lane in range(_LANES):
+        q_v[lane] = 0
+        q_vv[lane] = 0
+        q_vvv[lane] = 0
+    for i in range(a.shape[0]):
+        a_i = a[i]
+        for lane in range(_LANES):
+            inverse = one / (one + s[lane] * a_i)
+            first = q[i, lane] * inverse
+            second = first * inverse
+            q_v[lane] += first
+            q_vv[lane] += second
+            q_vvv[lane] += second * inverse
+
+
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _scoring_step(
+    log_sum: Float32,
+    least: float,
+    at_zero: Float32,
+    q_v: Float32,
+    q_vv: Float32,
+    q_vvv: Float32,
+    s: Float32,
+    log_s: Float32,
+    deviance: Float32,
+    gains: Float32,
+) -> None:
+    """Move s of every lane towards the least deviance, in place.
+
+    Newton's step in log s where the deviance is convex in it; elsewhere (11), which is a step
+    of Fisher scoring in s. `deviance` is left as that at the new place, to second order;
+    `gains` is what the step has gained.
+    """
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    two, three = np.float32(2), np.float32(3)
+    last = np.float32(log_sum.shape[1] - 2)
+    for lane in range(_LANES):
+        position = (log_s[lane] - _LEAST_LOG) * (one / _LOG_STEP)
+        whole = np.float32(np.int32(min(max(position, zero), last)))
+        u = position - whole
+        index = np.int32(whole)
+        low, high = log_sum[0, index], log_sum[0, index + 1]
+        start, end = log_sum[1, index], log_sum[1, index + 1]
+        rise = high - low
+        second, third = three * rise - two * start - end, start + end - two * rise
+        value = low + u * (start + u * (second + u * third))
+        slope = (start + u * (two * second + three * u * third)) * (one / _LOG_STEP)
+        bend = (two * second + np.float32(6) * u * third) * (one / (_LOG_STEP * _LOG_STEP))
+        score = q_v[lane] - q_vv[lane] - slope
+        curvature = bend + q_v[lane] - three * q_vv[lane] + two * q_vvv[lane]
+        information = max(slope - bend, np.float32(1e-9))
+        convex = curvature > np.float32(0.25) * information
+        step = score / (curvature if convex else information)
+        step = min(max(step, -one), one)
+        step = max(step, least - log_s[lane])
+        here = q_v[lane] + value
+        newton = step * (score - half * step * curvature)
+        # Towards s = 0 no more can be gained than the deviance there allows.
+        allowed = score * step if step > zero else max(here - at_zero[lane], zero)
+        fisher = min(score * step, allowed)
+        gains[lane] = newton if convex else fisher
+        deviance[lane] = here - (min(newton, _SETTLED) if convex else zero)
+        log_s[lane] += step
+        s[lane] *= _exp(step)
+
+
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _first_log(q: Float32, a: Float32) -> np.float32:
+    """Find the best s of one scale by (11), from the least-squares one."""
+    one = np.float32(1)
+    total, squares = np.float32(0), np.float32(0)
+    for i in range(q.shape[0]):
+        total += a[i] * (q[i] - one)
+        squares += a[i] * a[i]
+    s = max(total / squares, _SMALLEST / a[0])
+    for _ in range(_FIRST_ROUNDS):
+        score, information = np.float32(0), np.float32(0)
+        for i in range(q.shape[0]):
+            inverse = one / (one + s * a[i])
+            weight = a[i] * inverse
+            score += weight * (q[i] * inverse - one)
+            information += weight * weight
+        before = s
+        s = max(s + score / information, _SMALLEST / a[0])
+        if abs(s - before) < np.float32(0.1) * before:
+            break
+    return np.log(s)
 
 
 @njit(cache=True, fastmath=True, nogil=True, inline="always")
@@ -137,34 +319,6 @@ def _misfit(q: Float32, a: Float32, s: float) -> np.float32:
     for i in range(q.shape[0]):
         total += (q[i] / (np.float32(1) + s * a[i]) - np.float32(1)) ** 2
     return total
-
-
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
-def _next_strength(q: Float32, a: Float32, s: float) -> np.float32:
-    """One round of the fixed point (11), which is a step of Fisher scoring in s."""
-    numerator = np.float32(0)
-    denominator = np.float32(0)
-    for i in range(q.shape[0]):
-        inverse = np.float32(1) / (np.float32(1) + s * a[i])
-        weight = a[i] * inverse
-        numerator += weight * inverse * (q[i] - np.float32(1))
-        denominator += weight * weight
-    return max(numerator / denominator, _SMALLEST / a[0])
-
-
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
-def _deviance(q: Float32, a: Float32, s: float) -> np.floating:
-    """Sum of q / (1 + s a) + log(1 + s a); logarithms of products are cheaper than of factors."""
-    total = np.float32(0)
-    logarithm = 0.0
-    for block in range(0, q.shape[0], _PADDED):
-        product = 1.0
-        for i in range(block, block + _PADDED):
-            variance = np.float32(1) + s * a[i]
-            total += q[i] / variance
-            product *= variance
-        logarithm += np.log(product)
-    return total + logarithm
 
 
 def refine_maxima(
@@ -195,87 +349,156 @@ def refine_maxima(
     """
     noise = noise_power(table, noise_variance)
     relative = _padded(power * (1 / noise).astype(np.float32), 1.0)
-    gains = [_padded(values / noise, 0.0) for values in (table.value, table.first, table.second)]
-    scales, heights = _refine(relative, *gains, start, reach, table.step, 1 / dispersion)
+    scales, heights = _refine(
+        relative, *_refinement_tables(table), start, reach, table.step, 1 / dispersion
+    )
     padding = relative.shape[2] - noise.shape[1]
     constant = ((np.log(noise).sum(axis=1) - padding) / dispersion).sum(axis=1)
     return scales, heights - constant[:, None].astype(np.float32)
 
 
+@lru_cache(maxsize=16)
+def _refinement_tables(table: SpectrumTable) -> tuple[Float32, Float32]:
+    """Return a_i(r) for noise of variance 1, and its change over a step of the table: (M, 2, F)."""
+    return (
+        _padded(table.value / table.noise, 0.0),
+        _padded(table.step * table.first / table.noise, 0.0),
+    )
+
+
+def _padded(values: NDArray[np.floating], filling: float) -> Float32:
+    """Fill the last axis up to whole vector registers; a_i = 0, q_i = 1 adds the constant 1."""
+    missing = -values.shape[-1] % _PADDED
+    widths = [(0, 0)] * (values.ndim - 1) + [(0, missing)]
+    return np.pad(values, widths, constant_values=filling).astype(np.float32)
+
+
 @njit(cache=True, parallel=True, fastmath=FAST_BUT_NAN, nogil=True)
 def _refine(
     relative: Float32,
-    value: Float32,
-    first: Float32,
-    second: Float32,
+    gain: Float32,
+    change: Float32,
     start: Float32,
     reach: float,
     step: float,
     weight: Float32,
 ) -> tuple[Float32, Float32]:
+    """Newton's method in r, kept between places where the curve rises and falls."""
     scales = start.copy()
     heights = np.full(start.shape, -np.inf, np.float32)
-    stop = (value.shape[0] - 1) * step
+    last = gain.shape[0] - 1
+    directions = relative.shape[1]
     for point in prange(start.shape[0]):
-        strength = np.empty(relative.shape[1], np.float32)
+        log_s = np.empty(directions, np.float32)
+        moves = np.empty((directions, 2), np.float32)
         for k in range(start.shape[1]):
             scale = np.float64(start[point, k])
             if np.isnan(scale):
                 continue
-            low, high = max(scale - reach, 0.0), min(scale + reach, stop)
-            strength[:] = np.float32(1e3)
-            for newton in range(_NEWTON_ROUNDS + 1):
+            low, high = max(scale - reach, 0.0), min(scale + reach, last * step)
+            index = int(np.rint(scale / step))
+            for direction in range(directions):
+                log_s[direction] = _first_log(relative[point, direction], gain[index, direction])
+            for _ in range(_NEWTON_ROUNDS):
                 height, slope, curvature = 0.0, 0.0, 0.0
-                index = int(np.rint(scale / step))
-                for direction in range(relative.shape[1]):
-                    deviance, gradient, hessian, s = _deviance_and_derivatives(
+                index = min(int(scale / step), last - 1)
+                for direction in range(directions):
+                    least, d_r, d_rr, move, coupling = _profile_step(
                         relative[point, direction],
-                        value[index, direction],
-                        first[index, direction],
-                        second[index, direction],
-                        np.float32(scale - index * step),
-                        strength[direction],
-                        _NEXT_ROUNDS if newton else _FIRST_ROUNDS,
+                        gain[index, direction],
+                        change[index, direction],
+                        gain[index + 1, direction],
+                        change[index + 1, direction],
+                        np.float32(scale / step - index),
+                        log_s[direction],
                     )
-                    strength[direction] = s
-                    height -= weight[point, direction] * deviance
-                    slope += weight[point, direction] * gradient
-                    curvature += weight[point, direction] * hessian
-                if height <= heights[point, k]:
+                    moves[direction, 0], moves[direction, 1] = move, coupling
+                    height -= weight[point, direction] * least
+                    slope += weight[point, direction] * d_r / step
+                    curvature += weight[point, direction] * d_rr / step**2
+                if height > heights[point, k]:
+                    scales[point, k], heights[point, k] = scale, height
+                # The deviance falls towards its least place, which is a maximum of log p(r).
+                if slope > 0:
+                    high = scale
+                else:
+                    low = scale
+                moved = -slope / curvature if curvature > 0 else np.inf
+                if not low <= scale + moved <= high:
+                    moved = 0.5 * (low + high) - scale
+                scale += moved
+                for direction in range(directions):
+                    coupled = moves[direction, 1] * moved / step
+                    log_s[direction] += moves[direction, 0] + min(max(coupled, -_LIMIT), _LIMIT)
+                if abs(moved) < _CLOSE_ENOUGH:
                     break
-                scales[point, k], heights[point, k] = scale, height
-                move = -slope / curvature if curvature > 0 else -np.sign(slope) * reach / 4
-                scale = min(max(scale + move, low), high)
+            if abs(scale - scales[point, k]) < _CLOSE_ENOUGH:
+                scales[point, k] = scale
     return scales, heights
 
 
 @njit(cache=True, fastmath=True, nogil=True, inline="always")
-def _deviance_and_derivatives(
+def _profile_step(
     q: Float32,
-    value: Float32,
-    first: Float32,
-    second: Float32,
-    offset: float,
-    s: float,
-    rounds: int,
-) -> tuple[np.floating, np.floating, np.floating, float]:
-    """Return min_s of the deviance at one scale, its first two derivatives, and that s.
+    gain: Float32,
+    change: Float32,
+    next_gain: Float32,
+    next_change: Float32,
+    x: np.float32,
+    log_s: float,
+) -> tuple[np.floating, np.floating, np.floating, np.floating, np.floating]:
+    """Return the least deviance over s near a place (r, log s), and Newton's step from there.
 
-    The minimum over s has derivative f_r and second derivative f_rr - f_rs^2 / f_ss.
+    a(r) is interpolated between two scales of the table, by their values and derivatives; x in
+    [0, 1] is the place between them, and derivatives are those in x. With u = s a, v = 1 + u,
+    p = u / v and t = log s, the deviance f has f_t = sum p (1 - q/v) and
+    f_tt = sum p (1 - p) (1 - q/v) + p^2 q/v. To second order its least over t is
+    f - f_t^2 / 2 f_tt, where its derivatives in x are f_x - f_xt f_t / f_tt and
+    f_xx - f_xt^2 / f_tt.
+
+    Returns
+    -------
+    least, d_x, d_xx : float
+    move, coupling : float
+        Of log s: it moves by `move` plus `coupling` times the move of x.
     """
-    a = value + offset * (first + np.float32(0.5) * offset * second)
-    for _ in range(rounds):
-        s = _next_strength(q, a, s)
-    one, two = np.float32(1), np.float32(2)
-    f_r, f_rr, f_rs, f_ss = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-    for i in range(q.shape[0]):
-        slope = first[i] + offset * second[i]
-        inverse = one / (one + s * a[i])
-        f_u = (one - q[i] * inverse) * inverse
-        f_uu = (two * q[i] * inverse - one) * inverse * inverse
-        f_r += f_u * s * slope
-        f_rr += f_uu * (s * slope) ** 2 + f_u * s * second[i]
-        f_rs += f_uu * a[i] * s * slope + f_u * slope
-        f_ss += f_uu * a[i] * a[i]
-    deviance = _deviance(q, a, s)
-    return deviance, f_r, f_rr - f_rs * f_rs / f_ss if f_ss > 0 else f_rr, s
+    half, one, two, three = np.float32(0.5), np.float32(1), np.float32(2), np.float32(3)
+    s = np.exp(log_s)
+    f_t, f_x, f_tt, f_xt, f_xx = (
+        np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+    )  # fmt: skip
+    total = np.float32(0)
+    logarithm = 0.0
+    for block in range(0, q.shape[0], _PADDED):
+        product = 1.0
+        for i in range(block, block + _PADDED):
+            rise = next_gain[i] - gain[i]
+            second = three * rise - two * change[i] - next_change[i]
+            third = change[i] + next_change[i] - two * rise
+            a = gain[i] + x * (change[i] + x * (second + x * third))
+            a_x = change[i] + x * (two * second + three * x * third)
+            a_xx = two * second + np.float32(6) * x * third
+            inverse = one / (one + s * a)
+            ratio = q[i] * inverse
+            excess = (one - ratio) * inverse
+            bend = (two * ratio - one) * inverse * inverse
+            product *= one + s * a
+            total += ratio
+            f_t += a * excess
+            f_x += a_x * excess
+            f_tt += a * (excess + s * a * bend)
+            f_xt += a_x * (excess + s * a * bend)
+            f_xx += s * a_x * a_x * bend + a_xx * excess
+        logarithm += np.log(product)
+    deviance = total + logarithm
+    f_t, f_x, f_tt, f_xt, f_xx = s * f_t, s * f_x, s * f_tt, s * f_xt, s * f_xx
+    if f_tt <= 0:
+        return deviance, f_x, f_xx, np.float32(0), np.float32(0)
+    move, coupling = -f_t / f_tt, -f_xt / f_tt
+    return (
+        deviance + half * f_t * move,
+        f_x + f_xt * move,
+        f_xx + f_xt * coupling,
+        min(max(move, -_LIMIT), _LIMIT),
+        coupling,
+    )

@@ -1,0 +1,305 @@
+"""Every numba kernel on tiny arrays, against the formula in numpy; also run without numba.
+
+`test_without_jit` runs them as plain Python, where an index out of bounds is an error.
+"""
+
+import ast
+import sys
+from itertools import product
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+import napari_defocus
+from napari_defocus import simulate_defocus
+from napari_defocus.boundaries import (
+    Blocks,
+    _interpolated_change,
+    _pixel_edges,
+    interpolate_labels,
+)
+from napari_defocus.candidates import _pick_maxima
+from napari_defocus.gabor import window_centers
+from napari_defocus.graphcut import (
+    _RELAXATION,
+    STEPS,
+    Edges,
+    _joined_weights,
+    _relaxed,
+    best_in_range,
+    fuse,
+    labeling_energy,
+)
+from napari_defocus.likelihood import (
+    noise_power,
+    profile_log_likelihood,
+    quasi_log_likelihood,
+    refine_maxima,
+)
+from napari_defocus.spectrum import SpectrumTable
+
+pytestmark = pytest.mark.kernel
+
+PACKAGE = Path(napari_defocus.__file__).parent
+NOISE = 1e-5
+
+
+@pytest.fixture(scope="module", autouse=True)
+def called():
+    """Collect (file, function) of what runs, as far as it is Python."""
+    functions = set()
+
+    def note(frame, event, _):
+        if event == "call":
+            functions.add((frame.f_code.co_filename, frame.f_code.co_name))
+
+    if numba.config.DISABLE_JIT:
+        sys.setprofile(note)
+    yield functions
+    sys.setprofile(None)
+
+
+class Smear:
+    """A lopsided PSF that is linear in its scale, so that interpolated kernels are exact."""
+
+    max_scale = 1.0
+    scale_name = "share"
+    point = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]])
+    smeared = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 9]]) / 45
+
+    def kernel(self, scale):
+        return (1 - scale) * self.point + scale * self.smeared
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_gather_is_1(channels):
+    rng = np.random.default_rng(0)
+    picture, scales = rng.random((5, 6, channels)), rng.random((5, 6))
+    padded = np.pad(picture, ((1, 1), (1, 1), (0, 0)), mode="symmetric")
+    expected = np.zeros_like(picture)
+    for i, j in np.ndindex(3, 3):
+        share = np.array([[Smear().kernel(scale)[i, j] for scale in row] for row in scales])
+        expected += share[..., None] * padded[2 - i : 7 - i, 2 - j : 8 - j]
+    blurred = simulate_defocus(picture.squeeze(), scales, psf=Smear())
+    np.testing.assert_allclose(blurred.reshape(expected.shape), expected, atol=1e-6)
+
+
+def small_table(step=0.02):
+    """Spectra exp(-w r^2) of 5 frequencies, over 0 to 2 px."""
+    scales = np.arange(0, 2 + step / 2, step)
+    r, width = scales[:, None, None], np.linspace(0.2, 3, 10).reshape(2, 5)
+    value = np.exp(-width * r**2)
+    first, second = -2 * width * r * value, (4 * width**2 * r**2 - 2 * width) * value
+    return SpectrumTable(scales, value, first, second, np.linspace(1, 2, 10).reshape(2, 5))
+
+
+def drawn_powers(windows=3):
+    """Powers drawn from (5) at r = 1 px, s = 1e-3."""
+    table = small_table()
+    expected = 1e-3 * table.at(np.array([1.0]))[0] + noise_power(table, NOISE)
+    drawn = np.random.default_rng(2).exponential(size=(windows, 2, 5))
+    return (drawn * expected).astype(np.float32)
+
+
+def best_strengths(power, table, scales):
+    """Of each gradient: max_s log p(r, s), and the mean square of q / (1 + s a) - 1 there."""
+    noise = noise_power(table, NOISE)
+    strength = np.concatenate([[0], np.geomspace(1e-7, 1e3, 1500)])[:, None, None, None]
+    variance = strength * table.at(scales) + noise
+    ratio = power[:, None, None] / variance
+    log_p = -np.sum(ratio + np.log(variance), axis=-1)
+    best = log_p.argmax(axis=1)[:, None]
+    misfit = np.mean((ratio - 1) ** 2, axis=-1)
+    return tuple(np.take_along_axis(values, best, 1)[:, 0] for values in (log_p, misfit))
+
+
+def test_profile_likelihood_is_9():
+    table, scales = small_table(), np.arange(0, 2.01, 0.2)
+    curve = profile_log_likelihood(drawn_powers(), table, scales, NOISE)
+    log_p, _ = best_strengths(drawn_powers(), table, scales)
+    near = log_p.sum(axis=2) > log_p.sum(axis=2).max(axis=1, keepdims=True) - 5
+    np.testing.assert_allclose(curve[near], log_p.sum(axis=2)[near], rtol=0, atol=0.02)
+
+
+def test_dispersion_is_the_mean_square_deviation():
+    table, scales = small_table(), np.arange(0, 2.01, 0.2)
+    power = drawn_powers()
+    power[:, :, 1] *= 30
+    curve, dispersion = quasi_log_likelihood(power, table, scales, NOISE)
+    log_p, misfit = best_strengths(power, table, scales)
+    total = log_p.sum(axis=2)
+    best = total.argmax(axis=1)
+    weight = np.exp(total - total.max(axis=1, keepdims=True))[..., None]
+    expected = np.maximum((weight * misfit).sum(axis=1) / weight.sum(axis=1), 1)
+    assert expected.max() > 1.5
+    np.testing.assert_allclose(dispersion, expected, rtol=0.03)
+    np.testing.assert_allclose(
+        curve.max(axis=1), (log_p[np.arange(3), best] / expected).sum(axis=1), rtol=0.03
+    )
+
+
+def test_refined_maximum_is_that_of_the_formula():
+    table, power = small_table(), drawn_powers()
+    scales = np.arange(0.5, 1.7, 0.004)
+    log_p = best_strengths(power, small_table(step=0.004), scales)[0].sum(axis=2)
+    expected = scales[log_p.argmax(axis=1)]
+    start = (np.round(expected, 1)[:, None] + [0, np.nan]).astype(np.float32)
+    radii, heights = refine_maxima(power, table, start, 0.1, NOISE, np.ones((3, 2), np.float32))
+    np.testing.assert_allclose(radii[:, 0], expected, rtol=0, atol=0.005)
+    np.testing.assert_allclose(heights[:, 0], log_p.max(axis=1), rtol=0, atol=0.01)
+    assert np.isnan(radii[:, 1]).all()
+    assert np.isneginf(heights[:, 1]).all()
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_picked_maxima_are_the_highest_that_no_neighbour_exceeds(first):
+    curve = np.random.default_rng(0).integers(0, 6, (20, 12)).astype(np.float32)
+    scales = np.arange(12, dtype=np.float32)
+    picked = _pick_maxima(curve, scales, first)
+    for values, found in zip(curve, picked, strict=True):
+        around = np.concatenate([[-np.inf], values[first:], [-np.inf]])
+        tops = first + np.flatnonzero((around[1:-1] > around[:-2]) & (around[1:-1] >= around[2:]))
+        best = sorted(tops, key=lambda k: (-values[k], k))[:3]
+        np.testing.assert_array_equal(found, np.append(best, [np.nan] * (3 - len(best))))
+
+
+def random_weights(rows, columns, seed=0):
+    """Weights of a grid's 8-neighbourhood, (4, rows, columns)."""
+    weights = np.random.default_rng(seed).uniform(0.1, 1, (4, rows, columns)).astype(np.float32)
+    for k, (down, right) in enumerate(STEPS):
+        weights[k, rows - down :] = 0
+        weights[k, :, columns - max(0, right) :] = 0
+        weights[k, :, : max(0, -right)] = 0
+    return weights
+
+
+def matrix(edges, nodes):
+    """The weights of all pairs of nodes, (nodes, nodes)."""
+    weights = np.zeros((nodes, nodes))
+    np.add.at(weights, (edges.first, edges.second), edges.weight)
+    return weights + weights.T
+
+
+def color_matrix(color, color_sigma, smoothness):
+    """(16) for all pairs of pixels that are 8-neighbours."""
+    pixels = color.reshape(-1, color.shape[-1]).astype(float)
+    place = np.indices(color.shape[:2]).reshape(2, -1)
+    distance = np.abs(place[:, :, None] - place[:, None]).max(axis=0)
+    difference = np.sum((pixels[:, None] - pixels) ** 2, axis=2)
+    return smoothness * np.exp(-difference / (2 * color_sigma**2)) * (distance == 1)
+
+
+def joined(weights, block, blocks):
+    """Sums of the weights between the members of different blocks, (blocks, blocks)."""
+    member = np.equal.outer(np.arange(blocks), block).astype(float)
+    sums = member @ weights @ member.T
+    return sums * (1 - np.eye(blocks))
+
+
+@pytest.mark.parametrize(("shape", "stride"), [((7, 5), 3), ((4, 6), 1)])
+def test_block_weights_are_sums_of_16(shape, stride):
+    color = np.random.default_rng(0).uniform(0.4, 0.6, (*shape, 3)).astype(np.float32)
+    blocks = Blocks.around(*(window_centers(side, stride) for side in shape), shape)
+    rows, columns = len(blocks.row_centers), len(blocks.column_centers)
+    number = blocks.row_of_pixel[:, None] * columns + blocks.column_of_pixel
+    expected = joined(color_matrix(color, 0.1, 20.0), number.ravel(), rows * columns)
+    edges = Edges.of_grid(blocks.edge_weights(color, 0.1, 20.0))
+    np.testing.assert_allclose(matrix(edges, rows * columns), expected, rtol=1e-5)
+
+
+def test_pixel_edges_are_16_between_the_pixels_given():
+    color = np.random.default_rng(0).uniform(0.4, 0.6, (4, 5, 2)).astype(np.float32)
+    place = np.array([0, 1, 2, 5, 7, 8, 12, 13, 16, 19])
+    expected = color_matrix(color, 0.1, 20.0)[np.ix_(place, place)]
+    edges = _pixel_edges(color, place, 20.0, 0.1)
+    np.testing.assert_allclose(matrix(edges, len(place)), expected, rtol=1e-5)
+
+
+def test_weights_of_coarser_nodes_are_sums():
+    weights = random_weights(4, 5)
+    number = (np.arange(4) // 2)[:, None] * 3 + np.arange(5) // 2
+    expected = joined(matrix(Edges.of_grid(weights), 20), number.ravel(), 6)
+    coarse = _joined_weights(weights, np.arange(4) // 2, np.arange(5) // 2)
+    np.testing.assert_allclose(matrix(Edges.of_grid(coarse), 6), expected, rtol=1e-5)
+
+
+def test_relaxed_costs_are_the_least_with_a_price_for_the_distance():
+    data = np.random.default_rng(0).uniform(0, 5, (3, 4, 6)).astype(np.float32)
+    weights = random_weights(3, 4)
+    price = _RELAXATION * weights.sum(axis=0)[..., None, None]
+    distance = np.abs(np.subtract.outer(np.arange(6), np.arange(6)))
+    expected = np.min(data[:, :, None] + price * distance, axis=3)
+    np.testing.assert_allclose(_relaxed(data, weights), expected, rtol=1e-5)
+
+
+def costs_and_edges(labels):
+    data = np.random.default_rng(1).uniform(0, 3, (4, labels)).astype(np.float32)
+    return data, Edges.of_grid(random_weights(2, 2))
+
+
+def test_range_move_is_the_best_of_all_labelings_in_range():
+    data, edges = costs_and_edges(4)
+    low, high = np.array([0, 1, 0, 2], np.int32), np.array([3, 2, 1, 2], np.int32)
+    ranges = [range(a, b + 1) for a, b in zip(low, high, strict=True)]
+    least = min(labeling_energy(np.array(some), data, edges) for some in product(*ranges))
+    found = best_in_range(low, high, data, edges)
+    assert ((low <= found) & (found <= high)).all()
+    np.testing.assert_allclose(labeling_energy(found, data, edges), least, rtol=1e-6)
+
+
+@pytest.mark.parametrize("proposal", [[1, 1, 1, 1], [2, 3, 3, 3]])
+def test_fusion_is_the_best_of_all_mixtures(proposal):
+    data, edges = costs_and_edges(4)
+    labels, proposal = np.array([0, 3, 2, 1], np.int32), np.array(proposal, np.int32)
+    change = data[np.arange(4), proposal] - data[np.arange(4), labels]
+    mixtures = (np.where(taken, proposal, labels) for taken in product([False, True], repeat=4))
+    least = min(labeling_energy(some, data, edges) for some in mixtures)
+    found = fuse(labels, proposal, change, edges)
+    np.testing.assert_allclose(labeling_energy(found, data, edges), least, rtol=1e-6)
+
+
+def test_interpolated_change_is_bilinear():
+    rng = np.random.default_rng(0)
+    cost = rng.random((3, 4, 5)).astype(np.float32)
+    rows, columns = np.linspace(0, 2, 7), np.linspace(0, 3, 8)
+    place = np.arange(0, 56, 3)
+    now, new = rng.integers(0, 5, (2, len(place))).astype(np.int32)
+    at = np.array([rows[place // 8], columns[place % 8]])
+    at_label = [map_coordinates(cost[..., label], at, order=1) for label in range(5)]
+    expected = np.choose(new, at_label) - np.choose(now, at_label)
+    change = _interpolated_change(cost, now, new, place, rows, columns)
+    np.testing.assert_allclose(change, expected, atol=1e-6)
+
+
+def test_interpolated_labels_are_bilinear_among_those_alike():
+    labels = np.array([[3, 4, 9], [5, 3, 8]], np.int32)
+    blocks = Blocks.around(window_centers(6, 3), window_centers(9, 3), (6, 9))
+    pixels = blocks.spread(labels)
+    pixels[0, 0] = 20
+    rows, columns = blocks.positions
+    near_rows = np.maximum(0, 1 - np.abs(rows[:, None] - np.arange(2)))
+    near_columns = np.maximum(0, 1 - np.abs(columns[:, None] - np.arange(3)))
+    share = near_rows[:, None, :, None] * near_columns[:, None]
+    share *= np.abs(labels - pixels[..., None, None]) < 4
+    total = share.sum(axis=(2, 3))
+    scales = np.float32(0.1) * labels + np.float32(0.03)
+    mean = np.sum(share * scales, axis=(2, 3)) / np.maximum(total, 1e-9)
+    expected = np.where(total > 0, mean, 0.1 * pixels)
+    found = interpolate_labels(scales, labels, pixels, blocks, 4)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+@pytest.mark.skipif(not numba.config.DISABLE_JIT, reason="compiled calls cannot be watched")
+def test_every_kernel_of_the_package_ran_above(called):
+    kernels = {
+        (str(path), function.name)
+        for path in PACKAGE.rglob("*.py")
+        for function in ast.walk(ast.parse(path.read_text()))
+        if isinstance(function, ast.FunctionDef)
+        and any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+    }
+    assert len(kernels) > 10
+    assert kernels - called == set()
