@@ -74,7 +74,6 @@ def test_portrait_that_is_sharp_everywhere_is_all_in_focus(astronaut, defocused)
     assert segment_in_focus(estimate_candidates(picture), picture).min() == 1
 
 
-@pytest.mark.xfail(reason="fine texture that is sharp everywhere passes for noise")
 @pytest.mark.parametrize("texture", ["grass", "gravel", "clouds"])
 def test_texture_that_is_sharp_everywhere_is_all_in_focus(request, defocused, texture):
     picture = defocused(request.getfixturevalue(texture), 0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numba import njit, prange
@@ -14,10 +14,18 @@ from scipy.ndimage import gaussian_filter
 from napari_defocus.gabor import gradients, local_power, padding, window_centers, within_picture
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood, refine_maxima
-from napari_defocus.noise import evidence_noise_variance
+from napari_defocus.noise import ShotNoise, noise_variance_of
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily
-from napari_defocus.settings import MapSettings, Mode, Spectra, check_mode, check_noise_variance
+from napari_defocus.reference import fixed_point_maxima
+from napari_defocus.settings import (
+    Linearize,
+    MapSettings,
+    Mode,
+    Spectra,
+    check_mode,
+    check_noise_variance,
+)
 from napari_defocus.spectrum import (
     LABEL_STEP,
     SpectrumTable,
@@ -29,10 +37,13 @@ from napari_defocus.spectrum import (
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
+Search = Literal["lattice", "fixed-point"]
+
 CANDIDATES = 3
 _WINDOWS_A_BLOCK = 4096
 _LEAST_ROWS = 12
 _LEAST_OPAQUE = 0.05
+_TINY = 1e-12
 _INDISTINCT = 1e-6
 _FLAT = 1e-3
 
@@ -62,11 +73,14 @@ class BlurCandidates:
         Height and width of the picture, in px.
     psf : PSFFamily
     noise_variance : float
-        Of the luminance, intensities in [0, 1]; given or found.
+        Of the luminance, intensities in [0, 1]; given or found; the mean over the picture if
+        it grows with the intensity.
     window, stride : int
         N and the distance between windows, in px.
     mode : {"curve", "paper"}
         Which likelihood it is, see `estimate_candidates`.
+    shot_noise : ShotNoise or None
+        How the noise grows with the intensity, if it was said to.
     """
 
     radii: Float32
@@ -81,6 +95,7 @@ class BlurCandidates:
     window: int
     stride: int
     mode: Mode
+    shot_noise: ShotNoise | None = None
 
     def places_of_window(self) -> NDArray[np.int64]:
         """Return how many places share the window of each: (R, C), above 1 along the border."""
@@ -121,11 +136,13 @@ def estimate_candidates(
     image: ArrayLike,
     *,
     psf: PSFFamily = Disc(),
-    noise_variance: float | None = MapSettings.noise_variance,
+    noise_variance: float | ShotNoise | None = MapSettings.noise_variance,
     window: int = MapSettings.window,
     stride: int = MapSettings.stride,
     mode: Mode = MapSettings.mode,
     spectra: Spectra = "exact",
+    search: Search = "lattice",
+    linearize: Linearize | None = MapSettings.linearize,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> BlurCandidates:
@@ -142,11 +159,12 @@ def estimate_candidates(
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         Any real dtype; integers are scaled by their dtype's range, floats are taken as
         [0, 1]. A fourth channel is opacity: fully transparent pixels carry no evidence.
-    psf : PSFFamily, optional
-        The family of PSFs; a disc of up to 8 px by default.
-    noise_variance : float, optional
-        Variance of the noise in the luminance, intensities in [0, 1]. By default it is found
-        from the picture, see `estimate_noise_variance`.
+    psf : PSFFamily or callable, optional
+        The family of PSFs; a disc of up to 8 px by default. A function from a scale in px, up
+        to 8, to a kernel is a family too.
+    noise_variance : float or ShotNoise, optional
+        Variance of the noise in the luminance, intensities in [0, 1], or how it grows with the
+        intensity. By default it is found from the picture, see `estimate_noise_variance`.
     window : int, optional
         Side N of the analysis window in px, odd, at least 17.
     stride : int, optional
@@ -157,6 +175,12 @@ def estimate_candidates(
         of it by the dispersion, which limits what windows say that the model does not fit.
     spectra : {"exact", "fitted"}, optional
         Blur spectra (6) tabulated from the family at every scale, or as the fit (12).
+    search : {"lattice", "fixed-point"}, optional
+        How the local maxima are found: among all scales of the curve, then by Newton steps; or
+        as in the paper, by the fixed point (11) and (13) from whole px, much slower.
+    linearize : {"srgb"}, optional
+        Decode the intensities into linear light first. Blur is linear in radiance; pictures
+        for displays are not.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
     progress : callable, optional
@@ -172,8 +196,9 @@ def estimate_candidates(
         If `image` has no real dtype.
     ValueError
         If `image` has another shape, a side below 3 px, NaN or infinite values; if
-        `noise_variance` is negative, `window` is no odd number from 17 up, `stride` is not
-        within 1 to `window`, or twice the family's largest scale exceeds `window`.
+        `noise_variance` is negative; if `mode`, `spectra`, `search` or `linearize` is unknown;
+        if `window` is no odd number from 17 up, `stride` is not within 1 to `window`, or twice
+        the family's largest scale exceeds `window`.
 
     References
     ----------
@@ -190,15 +215,23 @@ def estimate_candidates(
     >>> float(np.median(candidates.radii[..., 0]).round())
     3.0
     """
-    _check_settings(psf, noise_variance, window, stride, mode, spectra)
-    picture = prepare_image(image, intensity_range)
+    psf = check_windows(psf, window)
+    _check_settings(noise_variance, window, stride, mode, spectra, search)
+    picture = prepare_image(image, intensity_range, linearize)
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
-        noise_variance = evidence_noise_variance(picture, psf, window)
+        noise_variance = noise_variance_of(picture, psf, window)
+    shot_noise = noise_variance if isinstance(noise_variance, ShotNoise) else None
+    if isinstance(noise_variance, ShotNoise):
+        noise_variance = float(noise_variance.variance_at(picture.luminance).mean())
     gradient = gradients(picture.luminance, picture.opaque, window)
     grid = _AnalysisGrid.over(picture.shape, window, stride)
     table = spectrum_table(psf, window, grid.rows[0] % 1, grid.columns[0] % 1, spectra)
     opaque = _opaque_share(picture, grid, gradient.pad, window)
+    noisier = None
+    if shot_noise is not None:
+        relative = shot_noise.variance_at(picture.luminance) / max(noise_variance, _TINY)
+        noisier = _mean_over_windows(relative, grid, gradient.pad, window)
     scales = label_scales(psf)
     shape = (len(grid.rows), len(grid.columns))
     radii = np.empty((*shape, CANDIDATES), np.float32)
@@ -209,15 +242,22 @@ def estimate_candidates(
         power = local_power(gradient, grid.rows[block], grid.columns, window)
         if opaque is not None:
             power /= np.maximum(opaque[block], _LEAST_OPAQUE)[..., None, None]
+        if noisier is not None:
+            power /= np.maximum(noisier[block], _TINY)[..., None, None]
         points = power.reshape(-1, *table.noise.shape)
         if mode == "paper":
             block_curve = profile_log_likelihood(points, table, scales, noise_variance)
             dispersion = np.ones(points.shape[:2], np.float32)
         else:
             block_curve, dispersion = quasi_log_likelihood(points, table, scales, noise_variance)
-        block_radii, block_heights = local_maxima(
-            points, block_curve, table, scales, noise_variance, dispersion
-        )
+        if search == "lattice":
+            block_radii, block_heights = local_maxima(
+                points, block_curve, table, scales, noise_variance, dispersion
+            )
+        else:
+            block_radii, block_heights = fixed_point_maxima(
+                points, table, noise_variance, dispersion
+            )
         curve[block] = block_curve.reshape(curve[block].shape)
         radii[block] = block_radii.reshape(radii[block].shape)
         log_likelihoods[block] = block_heights.reshape(radii[block].shape)
@@ -238,24 +278,27 @@ def estimate_candidates(
         window,
         stride,
         mode,
+        shot_noise,
     )
 
 
 def _check_settings(
-    psf: PSFFamily,
-    noise_variance: float | None,
+    noise_variance: float | ShotNoise | None,
     window: int,
     stride: int,
     mode: str,
     spectra: str,
+    search: str,
 ) -> None:
-    check_windows(psf, window)
-    check_noise_variance(noise_variance)
+    if not isinstance(noise_variance, ShotNoise):
+        check_noise_variance(noise_variance)
     check_mode(mode)
     if not isinstance(stride, (int, np.integer)) or not 1 <= stride <= window:
         raise ValueError(f"stride is {stride}; it takes a whole number of px from 1 to {window}")
     if spectra not in get_args(Spectra):
         raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
+    if search not in get_args(Search):
+        raise ValueError(f"search is {search!r}; it takes one of {get_args(Search)}")
 
 
 @dataclass(frozen=True)
@@ -306,14 +349,19 @@ def _opaque_share(
     """Return the share of each window that is opaque, weighted as power is; None if all is."""
     if picture.opaque is None:
         return None
-    share = gaussian_filter(picture.opaque.astype(np.float32), window / 4 / np.sqrt(2))
+    return _mean_over_windows(picture.opaque, grid, pad, window)
+
+
+def _mean_over_windows(
+    values: NDArray[Any], grid: _AnalysisGrid, pad: tuple[int, int], window: int
+) -> Float32:
+    """Return the mean of a quantity over each window, weighted as power is: (r, c)."""
+    mean = gaussian_filter(values.astype(np.float32), window / 4 / np.sqrt(2))
     place = (
         np.clip(np.rint(centers - extra).astype(int), 0, length - 1)
-        for centers, extra, length in zip(
-            (grid.rows, grid.columns), pad, picture.shape, strict=True
-        )
+        for centers, extra, length in zip((grid.rows, grid.columns), pad, values.shape, strict=True)
     )
-    return share[np.ix_(*place)]
+    return mean[np.ix_(*place)]
 
 
 def _silence_transparent(

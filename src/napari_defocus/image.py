@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.settings import Linearize, check_linearize
+
 LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """ITU-R BT.601: the luminance that JPEG keeps at full resolution."""
 
@@ -39,7 +41,9 @@ class PreparedImage:
 
 
 def prepare_image(
-    image: ArrayLike, intensity_range: tuple[float, float] | None = None
+    image: ArrayLike,
+    intensity_range: tuple[float, float] | None = None,
+    linearize: Linearize | None = None,
 ) -> PreparedImage:
     """Check a picture and scale it to [0, 1].
 
@@ -50,6 +54,8 @@ def prepare_image(
         are. A fourth channel is opacity: its zeros mark pixels without evidence.
     intensity_range : (float, float), optional
         The intensities that become 0 and 1, instead of the dtype's range.
+    linearize : {"srgb"}, optional
+        Decode intensities that were encoded for a display into linear light.
 
     Returns
     -------
@@ -61,8 +67,9 @@ def prepare_image(
         If the dtype is not real (object, complex, text).
     ValueError
         If the shape is none of the above, a side is below 3 px, a value is NaN or infinite,
-        or `intensity_range` is not two increasing finite numbers.
+        `intensity_range` is not two increasing finite numbers, or `linearize` is unknown.
     """
+    check_linearize(linearize)
     array = _checked_array(image)
     low, high = _checked_range(intensity_range, array.dtype)
     opaque = None
@@ -83,7 +90,21 @@ def prepare_image(
             f"image has values up to {np.abs(array).max():g}; it takes intensities around [0, 1], "
             "or an intensity_range"
         )
+    if linearize == "srgb":
+        color = decode_srgb(color)
     return PreparedImage(color, _luminance(color), opaque)
+
+
+def decode_srgb(color: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Undo the transfer function of sRGB (IEC 61966-2-1); what is below 0 goes on linearly."""
+    curved = ((np.maximum(color, 0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+    return np.where(color <= 0.04045, color / np.float32(12.92), curved)
+
+
+def encode_srgb(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Apply the transfer function of sRGB (IEC 61966-2-1); what is below 0 goes on linearly."""
+    curved = np.float32(1.055) * np.maximum(light, 0) ** np.float32(1 / 2.4) - np.float32(0.055)
+    return np.where(light <= 0.0031308, np.float32(12.92) * light, curved)
 
 
 def _checked_array(image: ArrayLike) -> NDArray[Any]:

@@ -1,11 +1,31 @@
 """Every default of the method, once: functions, terminal and widgets all read them here."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
+
+if TYPE_CHECKING:
+    from napari_defocus.psf import PSFFamily
 
 Mode = Literal["curve", "paper"]
 Spectra = Literal["exact", "fitted"]
+Linearize = Literal["srgb"]
+
+COMPARED_PSFS = (
+    "disc",
+    "polygon:5",
+    "polygon:6",
+    "polygon:8",
+    "annulus:0.3",
+    "annulus:0.5",
+    "gaussian",
+)
+"""The lenses that are compared unless others are named; each as `psf_from_text` reads it."""
+
+CONFIDENT = 0.5
+"""The confidence from which on a pixel counts as sure, where shares of a picture are told."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,8 +37,11 @@ class MapSettings:
     noise_variance : float or None
         Variance of the noise in the luminance, intensities in [0, 1]; None finds it from
         the picture.
+    psf : str
+        The PSF family, as `napari_defocus.psf_from_text` reads it.
     max_radius : float
-        Largest blur radius that is looked for, in px.
+        Largest blur radius that is looked for, in px; see `psf_of` for families whose scale is
+        no radius.
     window : int
         Side N of the analysis window, in px; odd.
     stride : int
@@ -30,21 +53,87 @@ class MapSettings:
     mode : {"curve", "paper"}
         The paper's method to the letter, or with what measurements added to it: a
         quasi-likelihood, and its whole curve as data term of (14).
+    linearize : {"srgb"} or None
+        Estimate on intensities decoded into linear light, in which blur is a convolution.
+    shot_noise : bool
+        Whether the noise grows with the intensity; how, is found from the picture.
     """
 
     noise_variance: float | None = None
+    psf: str = "disc"
     max_radius: float = 8.0
     window: int = 41
     stride: int = 4
     smoothness: float = 20.0
     color_sigma: float = 0.1
     mode: Mode = "curve"
+    linearize: Linearize | None = None
+    shot_noise: bool = False
 
     def __post_init__(self) -> None:
         """Refuse impossible values before any work is done with them."""
         check_noise_variance(self.noise_variance)
         check_weights(self.smoothness, self.color_sigma)
         check_mode(self.mode)
+        check_linearize(self.linearize)
+        if self.shot_noise and self.noise_variance is not None:
+            raise ValueError(
+                f"noise_variance is {self.noise_variance} and shot_noise is set; "
+                "noise that grows with the intensity is found from the picture"
+            )
+
+    def family(self) -> PSFFamily:
+        """Return the PSF family that `psf` and `max_radius` say, see `psf_of`."""
+        return psf_of(self.psf, self.max_radius)
+
+
+def psf_of(text: str, max_radius: float) -> PSFFamily:
+    """Make a PSF family for blurs up to a radius.
+
+    A disc of radius r has a standard deviation of r / 2 along an axis: families whose scale is
+    a standard deviation are looked for up to half of `max_radius`. Measured ones are looked for
+    up to their own largest scale if that is smaller.
+
+    Parameters
+    ----------
+    text : str
+        What `napari_defocus.psf_from_text` reads.
+    max_radius : float
+        Largest radius that is looked for, in px.
+
+    Returns
+    -------
+    PSFFamily
+
+    Raises
+    ------
+    ValueError
+        If the text names no family, or the largest scale comes out below 1 px.
+
+    Examples
+    --------
+    >>> psf_of("gaussian", 6.0)
+    Gaussian(max_sigma=3.0)
+    """
+    # Not above: the families take their defaults from here.
+    from napari_defocus.psf import MeasuredPSF, psf_from_text
+
+    family = psf_from_text(text)
+    largest = max_radius
+    if isinstance(family, MeasuredPSF):
+        largest = min(max_radius, family.max_scale)
+    elif _is_standard_deviation(family):
+        largest = max_radius / 2
+    return psf_from_text(text, largest)
+
+
+def usual_threshold(family: PSFFamily) -> float:
+    """Return the default threshold of a mask in a family's own scale, in px, see `psf_of`."""
+    return MaskSettings.threshold / (2 if _is_standard_deviation(family) else 1)
+
+
+def _is_standard_deviation(family: PSFFamily) -> bool:
+    return family.scale_name.startswith("standard deviation")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +143,8 @@ class MaskSettings:
     Attributes
     ----------
     threshold : float
-        tau of (18): the largest radius, in px, that counts as in focus.
+        tau of (18): the largest radius, in px, that counts as in focus; for families whose
+        scale is no radius, the largest scale, see `usual_threshold`.
     smoothness : float
         lambda_0 of (16) for the mask.
     color_sigma : float
@@ -99,4 +189,18 @@ def check_threshold(threshold: float, max_scale: float) -> None:
         raise ValueError(
             f"threshold is {threshold}; it takes a scale from 0 to below {max_scale:g} px, "
             f"the largest that is looked for"
+        )
+
+
+def check_confidence(name: str, confidence: float) -> None:
+    """Check a limit for the confidence."""
+    if not 0 <= confidence <= 1:
+        raise ValueError(f"{name} is {confidence}; it takes a number from 0 to 1")
+
+
+def check_linearize(linearize: str | None) -> None:
+    """Check the name of an encoding; None leaves intensities as they are."""
+    if linearize is not None and linearize not in get_args(Linearize):
+        raise ValueError(
+            f"linearize is {linearize!r}; it takes one of {get_args(Linearize)}, or None"
         )
