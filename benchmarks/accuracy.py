@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from pictures import bumps, ramp, sharp_pictures, uniform
+from pictures import at_windows, bumps, ramp, sharp_pictures, uniform
 
 from napari_defocus import estimate_candidates, label_blur_map, simulate_defocus
 
@@ -63,15 +63,6 @@ def scores(
     distances = distances[np.isfinite(distances[..., 0])]
     errors = (np.abs(blur_map - truth), distances[:, 0], np.nanmin(distances, axis=1))
     return np.array([[np.mean(e**2), np.mean(e), np.mean(e <= 0.5)] for e in errors])
-
-
-def at_windows(truth: np.ndarray, candidates) -> np.ndarray:
-    """Return the true radius in the middle of each window, which may lie between pixels."""
-    values = truth
-    for axis, centers in enumerate((candidates.row_centers, candidates.column_centers)):
-        low, high = np.floor(centers).astype(int), np.ceil(centers).astype(int)
-        values = (values.take(low, axis) + values.take(high, axis)) / 2
-    return values
 
 
 def table_row(family: str, variance: float, values: np.ndarray) -> str:

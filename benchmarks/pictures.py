@@ -50,3 +50,12 @@ def bumps(side: int = SIDE) -> np.ndarray:
 
 def uniform(radius: float, side: int = SIDE) -> np.ndarray:
     return np.full((side, side), float(radius))
+
+
+def at_windows(truth: np.ndarray, candidates) -> np.ndarray:
+    """Return the true radius in the middle of each window, which may lie between pixels."""
+    values = truth
+    for axis, centers in enumerate((candidates.row_centers, candidates.column_centers)):
+        low, high = np.floor(centers).astype(int), np.ceil(centers).astype(int)
+        values = (values.take(low, axis) + values.take(high, axis)) / 2
+    return values

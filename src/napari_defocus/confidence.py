@@ -1,0 +1,133 @@
+"""How sure a blur map is: the probability that it is right to half a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
+
+from napari_defocus.candidates import BlurCandidates
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+
+TOLERANCE = 0.5
+"""What counts as right, in px."""
+
+_DEPTH = 15.0
+_NEIGHBORHOOD = 8.0
+_JUMP_SIDE = 31
+_ROUNDING = 1e-4
+
+_TEMPER = 0.5
+_WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.659, -0.159, 0.925
+_LEAST_ODDS, _LEAST_JUMP = 1e-3, 0.05
+_INFORMATIVE, _STEEPNESS = 4.0, 3.0
+"""Fitted by benchmarks/confidence.py, which says what they are worth."""
+
+
+def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
+    """Return the probability that each radius of a blur map is within 0.5 px of the true one.
+
+    It comes from the whole curve log p(r): what share of the likelihood, limited in depth and
+    averaged over the neighbouring windows that the map was made coherent with, lies within
+    0.5 px of the map's value. A logistic function of it and of the largest difference that the
+    map has within 31 px (beside a jump, windows see both sides) was fitted once on simulated
+    ramps and layered scenes, so that of the pixels with a confidence of 0.8, 80 % are right.
+    Where the curve is flat, because there is no texture, the confidence is the share of all
+    radii that lie within 0.5 px of the map's value: 0.14 at most for radii up to 8 px.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+        Of the mode "curve"; the likelihood of the mode "paper" is too sure of itself.
+    blur_map : (H, W) array_like
+        From `label_blur_map` with these candidates, in px.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        In [0, 1].
+
+    Raises
+    ------
+    TypeError
+        If `blur_map` holds no real numbers.
+    ValueError
+        If it has another shape than the picture of `candidates`, or values that are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import *
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> candidates = estimate_candidates(picture)
+    >>> confidence_map(candidates, label_blur_map(candidates, picture)).shape
+    (100, 100)
+    """
+    radius = _checked_map(blur_map, candidates.image_shape)
+    rows, columns = candidates.row_centers, candidates.column_centers
+    jump = maximum_filter(radius, _JUMP_SIDE) - minimum_filter(radius, _JUMP_SIDE)
+    at_windows = np.ix_(np.rint(rows).astype(int), np.rint(columns).astype(int))
+    probability = window_confidence(candidates, radius[at_windows], jump[at_windows])
+    return _between_windows(probability, candidates)
+
+
+def window_confidence(candidates: BlurCandidates, radius: Float64, jump: Float64) -> Float64:
+    """Return the confidence at the windows, (R, C), for the map's values and jumps there."""
+    share, prior, depth = likelihood_share(candidates, radius)
+    odds = np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS))
+    logit = _WEIGHT_OF_MASS * odds + _WEIGHT_OF_JUMP * np.log(jump + _LEAST_JUMP) + _BIAS
+    informed = informed_share(depth)
+    return informed / (1 + np.exp(-logit)) + (1 - informed) * prior
+
+
+def likelihood_share(
+    candidates: BlurCandidates, radius: Float64
+) -> tuple[Float64, Float64, Float64]:
+    """Return what share of the likelihood agrees with a radius, for each window: (R, C) each.
+
+    Returns
+    -------
+    share : ndarray
+        Of the likelihood within `TOLERANCE` of `radius`.
+    prior : ndarray
+        Of the scales.
+    depth : ndarray
+        Of the averaged curve, from its top to its bottom, at most 15.
+    """
+    curve = np.maximum(candidates.curve - candidates.curve.max(axis=2, keepdims=True), -_DEPTH)
+    sigma = _NEIGHBORHOOD / candidates.stride
+    curve = gaussian_filter(curve, (sigma, sigma, 0))
+    top = curve.max(axis=2, keepdims=True)
+    likelihood = np.exp(_TEMPER * (curve - top))
+    agrees = np.abs(candidates.scales - radius[..., None]) <= TOLERANCE + _ROUNDING
+    share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
+    return share, agrees.mean(axis=2), (top - curve.min(axis=2, keepdims=True))[..., 0]
+
+
+def informed_share(depth: Float64) -> Float64:
+    """Return how far a curve of this depth is evidence at all: 0 for a flat one, up to 1."""
+    return 1 - np.exp(-((depth / _INFORMATIVE) ** _STEEPNESS))
+
+
+def _checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:
+    radius = np.asarray(blur_map)
+    if radius.dtype.kind not in "uif":
+        raise TypeError(f"blur_map has dtype {radius.dtype}; it takes real numbers")
+    if radius.shape != shape:
+        raise ValueError(f"blur_map has shape {radius.shape}; it takes the picture's, {shape}")
+    if not np.isfinite(radius).all():
+        raise ValueError("blur_map has NaN or infinite values; it takes finite ones")
+    return radius.astype(np.float32)
+
+
+def _between_windows(values: Float64, candidates: BlurCandidates) -> Float32:
+    """Interpolate from the windows' centres to all pixels."""
+    height, width = candidates.image_shape
+    rows = (np.arange(height) - candidates.row_centers[0]) / candidates.stride
+    columns = (np.arange(width) - candidates.column_centers[0]) / candidates.stride
+    places = np.meshgrid(rows, columns, indexing="ij")
+    interpolated = map_coordinates(values.astype(np.float32), places, order=1, mode="nearest")
+    return np.clip(interpolated, 0, 1)
