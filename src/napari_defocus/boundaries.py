@@ -22,6 +22,7 @@ from scipy.ndimage import (
 
 from napari_defocus.graphcut import STEPS, Edges, fuse, join_blocks
 from napari_defocus.progress import Progress, silent
+from napari_defocus.spectrum import LABEL_STEP
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -234,15 +235,19 @@ def _interpolated_change(
     return change
 
 
-def interpolate_labels(labels: Labels, pixels: Labels, blocks: Blocks, jump: int) -> Float32:
-    """Interpolate the labels of blocks, at each pixel among those that its own label belongs to.
+def interpolate_labels(
+    scales: Float32, labels: Labels, pixels: Labels, blocks: Blocks, jump: int
+) -> Float32:
+    """Interpolate the scales of blocks, at each pixel among those that its own label belongs to.
 
     Parameters
     ----------
+    scales : (R, C) float32 ndarray
+        Of the blocks, in px.
     labels : (R, C) int32 ndarray
         Of the blocks.
     pixels : (H, W) int32 ndarray
-        Of the pixels; where no block around has one alike, it is the result.
+        Labels of the pixels; where no block around has one alike, it is the result.
     blocks : Blocks
     jump : int
         Labels that differ by less belong together.
@@ -250,15 +255,21 @@ def interpolate_labels(labels: Labels, pixels: Labels, blocks: Blocks, jump: int
     Returns
     -------
     (H, W) float32 ndarray
+        In px.
     """
-    return _interpolated_alike(labels, pixels, *blocks.positions, jump)
+    return _interpolated_alike(scales, labels, pixels, *blocks.positions, jump)
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def _interpolated_alike(
-    labels: Labels, pixels: Labels, row_position: Float64, column_position: Float64, jump: int
+    scales: Float32,
+    labels: Labels,
+    pixels: Labels,
+    row_position: Float64,
+    column_position: Float64,
+    jump: int,
 ) -> Float32:
-    result = pixels.astype(np.float32)
+    result = np.float32(LABEL_STEP) * pixels.astype(np.float32)
     for row in prange(pixels.shape[0]):
         y = row_position[row]
         top = int(y)
@@ -270,7 +281,7 @@ def _interpolated_alike(
                 for j in range(left, min(left + 2, labels.shape[1])):
                     if abs(labels[i, j] - pixels[row, column]) < jump:
                         share = (1 - abs(y - i)) * (1 - abs(x - j))
-                        total += share * labels[i, j]
+                        total += share * scales[i, j]
                         weight += share
             if weight > 1e-6:
                 result[row, column] = total / weight

@@ -33,7 +33,6 @@ STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 _STEP = "Choosing labels"
 _COARSEST = 20
 _RANGE = np.int32(6)
-_FINEST_RANGE = np.int32(2)
 _RELAXATION = np.float32(0.4)
 _LEAST_GAIN = 1e-6
 _NEVER = 1e12
@@ -97,12 +96,11 @@ def _improve(
         progress(_STEP, 0.7 * done / len(offers))
         labels = expand(labels, int(alpha), costs, edges)
     labels = labels.reshape(start.shape)
-    reach = _FINEST_RANGE if finest else _RANGE
     rows, columns = data.shape[:2]
     height = max(1, _NODES_A_STRIP // columns)
     for top in range(0, rows, height):
         progress(_STEP, 0.7 + 0.3 * top / rows)
-        _move_strip(labels, top, top + height, reach, data, weights)
+        _move_strip(labels, top, top + height, _RANGE, data, weights)
     return labels
 
 

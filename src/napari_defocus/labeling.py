@@ -15,9 +15,11 @@ from napari_defocus.boundaries import Blocks, interpolate_labels, label_pixels
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.noise import ShotNoise
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
-from napari_defocus.settings import MapSettings, Mode, check_weights
+from napari_defocus.refinement import refine_labels
+from napari_defocus.settings import Linearize, MapSettings, Mode, check_weights
 from napari_defocus.spectrum import LABEL_STEP
 
 Float32 = NDArray[np.float32]
@@ -32,6 +34,7 @@ _CURVE_DEPTH = np.float32(15)
 _CURVE_WEIGHT = np.float32(12)
 _JUMP = 4
 _REACH = 6
+_LEAST_SMOOTHNESS = 1e-12
 
 
 def data_term(candidates: BlurCandidates) -> Float32:
@@ -152,19 +155,27 @@ def label_blur_map(
         color_sigma=color_sigma,
         jump=_JUMP,
         reach=_REACH,
-        progress=within(progress, 0.7, 1.0),
+        progress=within(progress, 0.7, 0.9),
     )
-    progress("Following the picture's edges", 1.0)
-    return np.float32(LABEL_STEP) * interpolate_labels(labels, pixels, blocks, _JUMP)
+    scales = np.float32(LABEL_STEP) * labels
+    if candidates.mode == "curve":
+        pairs = blocks.edge_weights(np.zeros_like(picture.color), color_sigma, 1.0)
+        likeness = weights / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
+        scales = refine_labels(
+            candidates, labels, likeness, _JUMP, smoothness, within(progress, 0.9, 1.0)
+        )
+    progress("Smoothing out the steps", 1.0)
+    return interpolate_labels(scales, labels, pixels, blocks, _JUMP)
 
 
 def estimate_blur_map(
     image: ArrayLike,
     *,
     psf: PSFFamily = Disc(),
-    noise_variance: float | None = MapSettings.noise_variance,
+    noise_variance: float | ShotNoise | None = MapSettings.noise_variance,
     window: int = MapSettings.window,
     stride: int = MapSettings.stride,
+    linearize: Linearize | None = MapSettings.linearize,
     smoothness: float = MapSettings.smoothness,
     color_sigma: float = MapSettings.color_sigma,
     mode: Mode = MapSettings.mode,
@@ -178,7 +189,7 @@ def estimate_blur_map(
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         Any real dtype; integers are scaled by their dtype's range, floats are taken as
         [0, 1]. A fourth channel is opacity.
-    psf, noise_variance, window, stride, mode
+    psf, noise_variance, window, stride, linearize, mode
         See `estimate_candidates`.
     smoothness, color_sigma
         See `label_blur_map`.
@@ -214,6 +225,7 @@ def estimate_blur_map(
         window=window,
         stride=stride,
         mode=mode,
+        linearize=linearize,
         intensity_range=intensity_range,
         progress=within(progress, 0.0, 0.4),
     )
