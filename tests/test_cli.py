@@ -15,8 +15,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import napari_defocus
+from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
 from napari_defocus.cli import app
-from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 
 SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
 
@@ -38,7 +39,13 @@ def instant(monkeypatch):
 
     def estimate_candidates(image, **options):
         calls["candidates"] = options
-        return SimpleNamespace(image_shape=image.shape[:2], noise_variance=1e-4)
+        noise = options["noise_variance"]
+        return SimpleNamespace(
+            image_shape=image.shape[:2],
+            noise_variance=1e-4,
+            psf=options["psf"],
+            shot_noise=noise if isinstance(noise, napari_defocus.ShotNoise) else None,
+        )
 
     def label_blur_map(candidates, image, **options):
         calls["map"] = options
@@ -48,7 +55,10 @@ def instant(monkeypatch):
         calls["mask"] = options
         return np.ones(image.shape[:2], np.uint8)
 
-    for function in (estimate_candidates, label_blur_map, segment_in_focus):
+    def confidence_map(candidates, blur_map):
+        return np.linspace(0, 1, blur_map.size, dtype=np.float32).reshape(blur_map.shape)
+
+    for function in (estimate_candidates, label_blur_map, segment_in_focus, confidence_map):
         monkeypatch.setattr(napari_defocus, function.__name__, function)
     return calls
 
@@ -116,6 +126,7 @@ def test_demo_measures_the_sample_and_can_be_run_again(tmp_path, instant):
     assert names_in(folder) == [
         "dandelion-blur.png",
         "dandelion-blur.tif",
+        "dandelion-confidence.png",
         "dandelion-mask.png",
         "dandelion-overlay.png",
     ]
@@ -131,8 +142,8 @@ def test_json_is_one_object_with_everything(picture):
     facts = json.loads(result.stdout)
     radius = tifffile.imread(picture.with_name("seed-blur.tif"))
     assert (facts["width"], facts["height"]) == (96, 80)
-    assert facts["radius_median_px"] == pytest.approx(np.median(radius))
-    assert facts["radius_p5_px"] <= facts["radius_median_px"] <= facts["radius_p95_px"]
+    assert facts["blur_median_px"] == pytest.approx(np.median(radius))
+    assert facts["blur_p5_px"] <= facts["blur_median_px"] <= facts["blur_p95_px"]
     variance = facts["noise_variance"]
     assert facts["noise_sigma_grey_levels"] == pytest.approx(255 * variance**0.5)
     assert facts["seconds"] >= 0
@@ -151,7 +162,8 @@ def test_quiet_prints_nothing(picture, instant):
 def test_defaults_are_those_of_the_functions(picture, instant):
     assert run("map", picture).exit_code == 0
     assert run("segment", picture).exit_code == 0
-    assert instant["candidates"]["psf"].max_radius == MapSettings.max_radius
+    assert instant["candidates"]["psf"] == Disc(MapSettings.max_radius)
+    assert instant["candidates"]["linearize"] is MapSettings.linearize
     assert instant["candidates"]["noise_variance"] is MapSettings.noise_variance
     assert instant["map"]["smoothness"] == MapSettings.smoothness
     assert instant["map"]["color_sigma"] == MapSettings.color_sigma
@@ -178,6 +190,101 @@ def test_options_reach_the_functions(picture, instant):
     assert instant["mask"]["threshold"] == 1.5
 
 
+@pytest.mark.parametrize("command", ["map", "segment", "demo"])
+def test_lens_and_light_reach_the_function(picture, instant, command):
+    where = picture.parent / "results" if command == "demo" else picture
+    result = run(command, where, "--psf", "polygon:6:15", "--linearize", "srgb")
+    assert result.exit_code == 0, result.output
+    assert instant["candidates"]["psf"] == Polygon(6, 15.0)
+    assert instant["candidates"]["linearize"] == "srgb"
+    assert "polygon:6:15, scale: equal-area radius (px)" in result.stdout
+
+
+@pytest.mark.parametrize(("psf", "threshold"), [("annulus:0.5", 2.0), ("gaussian", 1.0)])
+def test_threshold_of_a_gaussian_is_a_standard_deviation(picture, instant, psf, threshold):
+    assert run("segment", picture, "--psf", psf).exit_code == 0
+    assert instant["mask"]["threshold"] == threshold
+    result = run("segment", picture, "--psf", psf, "--threshold", 1.7, "--force")
+    assert result.exit_code == 0, result.output
+    assert instant["mask"]["threshold"] == 1.7
+
+
+def test_gaussian_is_looked_for_up_to_half_the_radius(picture, instant):
+    result = run("map", picture, "--psf", "gaussian", "--max-radius", 6)
+    assert instant["candidates"]["psf"] == Gaussian(3.0)
+    assert "standard deviation (px)" in result.stdout
+    with tifffile.TiffFile(picture.with_name("seed-blur.tif")) as tiff:
+        description = json.loads(tiff.pages[0].description)
+    assert description["quantity"] == "defocus blur standard deviation"
+    assert description["settings"]["psf"] == "gaussian"
+
+
+@pytest.mark.parametrize(("max_radius", "largest"), [(8, 5), (3, 3)])
+def test_measured_lens_is_looked_for_up_to_its_own_largest_scale(
+    picture, instant, tmp_path, max_radius, largest
+):
+    lens = MeasuredPSF([1, 5], [np.pad(Disc().kernel(1), 4), Disc().kernel(5)])
+    lens.save(tmp_path / "lens.npz")
+    result = run("map", picture, "--psf", tmp_path / "lens.npz", "--max-radius", max_radius)
+    assert result.exit_code == 0, result.output
+    assert instant["candidates"]["psf"].max_scale == largest
+
+
+def test_shot_noise_is_measured_and_told(picture, instant, monkeypatch):
+    def estimate_shot_noise(image, **options):
+        instant["noise"] = options
+        return ShotNoise(1e-5, 2e-4)
+
+    monkeypatch.setattr(napari_defocus, "estimate_shot_noise", estimate_shot_noise)
+    common = ["--shot-noise", "--psf", "annulus:0.4", "--intensity-range", 0, 200]
+    result = run("map", picture, *common)
+    assert result.exit_code == 0, result.output
+    assert instant["candidates"]["noise_variance"] == ShotNoise(1e-5, 2e-4)
+    assert instant["noise"]["psf"] == Annulus(0.4)
+    assert instant["noise"]["intensity_range"] == (0, 200)
+    assert "variance 1e-05 + 0.0002 x intensity" in result.stdout
+    facts = json.loads(run("segment", picture, *common, "--json").stdout)
+    assert facts["shot_noise"] == {"read_variance": 1e-5, "gain": 2e-4}
+
+
+def test_shot_noise_and_a_given_variance_exclude_each_other(picture, instant):
+    result = run("map", picture, "--shot-noise", "--noise-variance", 1e-4)
+    assert_fails_in_one_line(result, saying="shot_noise")
+    assert not instant
+
+
+def test_confidence_is_written_as_values_or_drawing_and_told(picture):
+    folder = picture.parent
+    result = run("map", picture, "--confidence", folder / "sure.tif", "--json")
+    assert result.exit_code == 0, result.output
+    confidence = tifffile.imread(folder / "sure.tif")
+    assert (confidence.shape, confidence.dtype) == ((80, 96), np.float32)
+    assert 0 <= confidence.min() <= confidence.max() <= 1
+    facts = json.loads(result.stdout)
+    assert facts["confidence_median"] == pytest.approx(np.median(confidence))
+    assert facts["confident_percent"] == pytest.approx(100 * (confidence >= 0.5).mean())
+    assert facts["psf"] == "disc"
+    assert str(folder / "sure.tif") in facts["files"]
+
+
+def test_confidence_drawing_is_grey(picture, instant):
+    path = picture.with_name("sure.png")
+    result = run("map", picture, "--confidence", path)
+    assert "confidence   median 0.50" in result.stdout
+    drawn = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    assert np.ptp(drawn, axis=2).max() == 0
+
+
+def test_pixels_of_low_confidence_are_left_out_of_the_map(picture, instant):
+    result = run("map", picture, "--min-confidence", 0.25)
+    assert result.exit_code == 0, result.output
+    values = tifffile.imread(picture.with_name("seed-blur.tif"))
+    assert np.isnan(values).mean() == pytest.approx(0.25, abs=0.01)
+    assert np.nanmax(values) == 2.5
+    assert "left out     25.0 %" in result.stdout
+    assert "median 2.5 px" in result.stdout
+
+
 def test_only_the_outputs_that_are_named_are_written(picture, instant):
     folder = picture.parent
     assert run("map", picture, "-o", folder / "values.tiff").exit_code == 0
@@ -186,6 +293,154 @@ def test_only_the_outputs_that_are_named_are_written(picture, instant):
     assert run("segment", picture, "--overlay", folder / "o.png").exit_code == 0
     expected = ["a.tif", "b.png", "m.png", "o.png", "seed.png", "values.tiff"]
     assert names_in(folder) == expected
+
+
+def lamps(radius, lens=Disc()):
+    """A picture of two lamps through a lens, as 16-bit integers."""
+    light = np.zeros((61, 121))
+    light[30, [30, 90]] = 1.0
+    kernel = lens.kernel(radius)
+    reach = len(kernel) // 2
+    for column in (30, 90):
+        light[30 - reach : 31 + reach, column - reach : column + reach + 1] = kernel
+    return np.rint(50_000 * light / light.max()).astype(np.uint16)
+
+
+@pytest.fixture
+def settings_of_a_lens(tmp_path):
+    """Pictures of lamps through a mirror lens, out of focus by 1, 3 and 5 px."""
+    paths = [tmp_path / f"lamps{radius}.tif" for radius in (1, 3, 5)]
+    for path, radius in zip(paths, (1, 3, 5), strict=True):
+        tifffile.imwrite(path, lamps(radius, Annulus(0.4)))
+    return paths
+
+
+def test_calibrate_writes_a_lens_that_map_takes(settings_of_a_lens, tmp_path, picture):
+    path = tmp_path / "lens.npz"
+    result = run("calibrate", *settings_of_a_lens, "-o", path, "--scales", "1,3,5")
+    assert result.exit_code == 0, result.output
+    lens = MeasuredPSF.load(path)
+    np.testing.assert_array_equal(lens.scales, [1, 3, 5])
+    ring = Annulus(0.4).kernel(5)
+    assert np.abs(lens.kernels[2] - ring).sum() < 0.05
+    assert lens.provenance["names"] == ["lamps1.tif", "lamps3.tif", "lamps5.tif"]
+    assert "given        3.00 px in " in result.stdout
+    assert "3 kernels of 11 x 11 px, scales up to 5.00 px" in result.stdout
+    assert "log error of the spectra" in result.stdout
+    assert f"wrote        {path}" in result.stdout
+    result = run("map", picture, "--psf", path)
+    assert result.exit_code == 0, result.output
+    assert f"{path}, scale: scale (px)" in result.stdout
+
+
+def test_calibrate_measures_the_scales_and_is_asked_before_it_overwrites(
+    settings_of_a_lens, tmp_path
+):
+    path = tmp_path / "lens.npz"
+    path.write_bytes(b"mine")
+    arguments = ["calibrate", *settings_of_a_lens, "-o", path, "--json"]
+    assert_fails_in_one_line(run(*arguments), saying="exists already")
+    assert path.read_bytes() == b"mine"
+    facts = json.loads(run(*arguments, "--force", "--max-scale", 4).stdout)
+    disc_like = np.array([1, 3, 5]) * np.sqrt(1 + 0.4**2)
+    np.testing.assert_allclose(facts["scales_px"][1:], disc_like[1:], rtol=0.03)
+    assert facts["scales_were"] == "measured"
+    assert facts["max_scale_px"] == MeasuredPSF.load(path).max_scale == 4
+    assert facts["files"] == [str(path)]
+
+
+@pytest.mark.parametrize("sharp", [1, 2])
+def test_calibrate_from_a_sharp_picture_once_or_once_for_each(tmp_path, gravel, sharp):
+    paths = [tmp_path / f"{radius}.tif" for radius in (0, 2, 4)]
+    for path, radius in zip(paths, (0, 2, 4), strict=True):
+        seen = napari_defocus.simulate_defocus(gravel, np.full(gravel.shape, float(radius)))
+        tifffile.imwrite(path, seen.astype(np.float32))
+    references = [argument for _ in range(sharp) for argument in ("--sharp", paths[0])]
+    result = run("calibrate", *paths[1:], *references, "-o", tmp_path / "lens.npz")
+    assert result.exit_code == 0, result.output
+    scales = MeasuredPSF.load(tmp_path / "lens.npz").scales
+    np.testing.assert_allclose(scales, [2, 4], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "saying"),
+    [
+        (["-o", "lens.txt"], "must end in .npz"),
+        (["-o", "none/lens.npz"], "there is no folder"),
+        (["-o", "lens.npz", "--scales", "1,two,3"], "numbers with commas"),
+        (["-o", "lens.npz", "--scales", "1,2"], "scales has 2 entries"),
+        (["-o", "lens.npz", "--scales", "2,2,2"], "1 setting"),
+        (["-o", "lens.npz", "--max-scale", "0.5"], "max_scale"),
+        (["-o", "lens.npz", "--sharp", "none.tif"], "no such file"),
+        (["-o", "lens.npz", "--intensity-range", "0", "100"], "lamps1.tif shows no usable"),
+    ],
+)
+def test_calibrate_that_cannot_be_writes_nothing(
+    settings_of_a_lens, tmp_path, monkeypatch, options, saying
+):
+    monkeypatch.chdir(tmp_path)
+    before = names_in(tmp_path)
+    assert_fails_in_one_line(run("calibrate", *settings_of_a_lens, *options), saying=saying)
+    assert names_in(tmp_path) == before
+
+
+def test_calibrate_on_a_full_disk_leaves_nothing_behind(settings_of_a_lens, tmp_path, monkeypatch):
+    before = names_in(tmp_path)
+    monkeypatch.setattr(os, "fsync", full_disk)
+    result = run("calibrate", *settings_of_a_lens, "-o", tmp_path / "lens.npz")
+    assert_fails_in_one_line(result, saying="No space left")
+    assert names_in(tmp_path) == before
+
+
+@pytest.fixture
+def seen_through_a_mirror_lens(tmp_path, gravel):
+    path = tmp_path / "gravel.tif"
+    seen = napari_defocus.simulate_defocus(
+        gravel, np.full(gravel.shape, 5.0), psf=Annulus(0.5), noise_variance=1e-6, rng=0
+    )
+    tifffile.imwrite(path, seen.astype(np.float32))
+    return path
+
+
+def test_compare_psf_puts_the_right_lens_first(seen_through_a_mirror_lens, tmp_path):
+    lens = MeasuredPSF([2, 5], [np.pad(Disc().kernel(2), 3), Disc().kernel(5)])
+    lens.save(tmp_path / "lens.npz")
+    families = ["disc", "annulus:0.5", "gaussian", str(tmp_path / "lens.npz")]
+    options = [argument for text in families for argument in ("--family", text)]
+    result = run("compare-psf", seen_through_a_mirror_lens, *options)
+    assert result.exit_code == 0, result.output
+    table = result.stdout[result.stdout.index("log evidence") :].splitlines()[1:5]
+    assert {line.split()[0] for line in table} == set(families)
+    assert table[0].startswith("annulus:0.5")
+    assert table[0].endswith("outer radius 5.0 px")
+    facts = json.loads(run("compare-psf", seen_through_a_mirror_lens, *options, "--json").stdout)
+    assert facts["best"] == facts["families"][0]["psf"] == "annulus:0.5"
+    assert facts["families"][0]["median_px"] == pytest.approx(5, abs=0.2)
+    assert sum(row["best_in_percent"] for row in facts["families"]) == pytest.approx(100)
+
+
+def test_compare_psf_has_a_list_of_its_own(seen_through_a_mirror_lens):
+    facts = json.loads(run("compare-psf", seen_through_a_mirror_lens, "--json").stdout)
+    assert {row["psf"] for row in facts["families"]} == set(COMPARED_PSFS)
+    assert facts["best"] == "annulus:0.5"
+
+
+@pytest.mark.parametrize(
+    ("options", "saying"),
+    [
+        (["--family", "square"], "psf is 'square'"),
+        (["--noise-variance", "-1"], "noise_variance"),
+        (["--max-radius", "0.5"], "takes a number from 1"),
+    ],
+)
+def test_compare_psf_with_a_bad_value(seen_through_a_mirror_lens, options, saying):
+    result = run("compare-psf", seen_through_a_mirror_lens, *options)
+    assert_fails_in_one_line(result, saying=saying)
+
+
+def test_compare_psf_needs_texture(tmp_path):
+    Image.new("L", (60, 60)).save(tmp_path / "black.png")
+    assert_fails_in_one_line(run("compare-psf", tmp_path / "black.png"), saying="no texture")
 
 
 def test_version_is_the_package_s():
@@ -249,9 +504,16 @@ def test_picture_that_the_method_does_not_take(tmp_path):
         ("map", "--noise-variance", "nan", "noise_variance"),
         ("map", "--max-radius", 0, "max_radius"),
         ("map", "--max-radius", 100, "largest scale"),
+        ("map", "--psf", "square", "psf is 'square'"),
+        ("map", "--psf", "polygon:2", "blades"),
+        ("map", "--psf", "none.npz", "no such file"),
+        ("map", "--min-confidence", 1.5, "min_confidence"),
+        ("map", "--min-confidence", "nan", "min_confidence"),
+        ("map", "--confidence", "sure.jpg", "must end in"),
         ("map", "--smoothness", -1, "smoothness"),
         ("map", "--color-sigma", 0, "color_sigma"),
         ("segment", "--threshold", -1, "threshold"),
+        ("segment", "--psf", "annulus:1", "obstruction"),
         ("segment", "--smoothness", "inf", "smoothness"),
         ("segment", "--color-sigma", -1, "color_sigma"),
     ],
@@ -268,7 +530,15 @@ def test_intensity_range_that_is_none(picture):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["map"], ["nonsense"], ["map", "p.png", "--nonsense"], ["map", "p.png", "--mode", "other"]],
+    [
+        ["map"],
+        ["nonsense"],
+        ["map", "p.png", "--nonsense"],
+        ["map", "p.png", "--mode", "other"],
+        ["map", "p.png", "--linearize", "other"],
+        ["calibrate", "p.png"],
+        ["compare-psf"],
+    ],
 )
 def test_wrong_usage_ends_with_code_2_and_a_hint(arguments):
     result = run(*arguments)

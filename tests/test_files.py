@@ -20,6 +20,7 @@ from napari_defocus.files import (
     blur_map_png,
     blur_map_tiff,
     check_results,
+    confidence_tiff,
     mask_png,
     overlay_png,
     read_picture,
@@ -383,6 +384,27 @@ def test_blur_map_png_uses_the_same_colours_for_the_same_radius(ramp):
 def test_blur_map_png_has_a_sensible_size(shape):
     drawn = Image.open(io.BytesIO(blur_map_png(np.zeros(shape), 8.0)))
     assert 140 <= min(drawn.size) <= max(drawn.size) <= 1800
+
+
+def test_what_is_not_trusted_is_grey_and_told():
+    blur_map = np.full((300, 400), 4.0)
+    blur_map[100:200, 100:200] = np.nan
+    drawn = Image.open(io.BytesIO(blur_map_png(blur_map, 8.0, min_confidence=0.5)))
+    grey = np.ptp(np.asarray(drawn.convert("RGB"))[150:250, 150:250].astype(int), axis=2)
+    assert grey.max() == 0
+    silent = Image.open(io.BytesIO(blur_map_png(blur_map, 8.0)))
+    assert drawn.height > silent.height, "there is a line about it below"
+
+
+def test_confidence_tiff_holds_the_values_and_says_what_they_are(tmp_path):
+    confidence = np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4)
+    path = tmp_path / "sure.tif"
+    path.write_bytes(confidence_tiff(confidence, {"psf": "disc"}))
+    with tifffile.TiffFile(path) as tiff:
+        np.testing.assert_array_equal(tiff.asarray(), confidence)
+        description = json.loads(tiff.pages[0].description)
+    assert description["quantity"] == "confidence of the blur map"
+    assert description["settings"] == {"psf": "disc"}
 
 
 def test_mask_png_is_black_and_white():

@@ -1,13 +1,11 @@
-"""The terminal command: a blur map, an in-focus mask, and a demonstration."""
+"""The terminal command: a blur map, an in-focus mask, a demonstration; see `lens_commands` too."""
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
-import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -16,14 +14,47 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import napari_defocus
+from napari_defocus import lens_commands
+from napari_defocus.commands import (
+    AsJson,
+    ColorSigma,
+    ConfidenceOutput,
+    Force,
+    ImagePath,
+    IntensityRange,
+    LinearizeOption,
+    MapOutputs,
+    MapSmoothness,
+    MaskOutput,
+    MaskSmoothness,
+    MaxRadius,
+    MinConfidence,
+    ModeOption,
+    NoiseVariance,
+    OverlayOutput,
+    PSFText,
+    Quiet,
+    ShotNoiseOption,
+    Threshold,
+    check_endings,
+    last_lines,
+    run,
+)
 from napari_defocus.progress import Progress, within
-from napari_defocus.settings import MapSettings, MaskSettings, Mode, check_threshold
-from napari_defocus.terminal import errors_in_one_line, print_result, progress_in_terminal
+from napari_defocus.settings import (
+    CONFIDENT,
+    MapSettings,
+    MaskSettings,
+    check_confidence,
+    check_threshold,
+    usual_threshold,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_defocus.candidates import BlurCandidates
+    from napari_defocus.noise import ShotNoise
 
 CANDIDATES_SHARE = 0.7
 """Roughly how much of the time goes into the candidates; for the progress bar only."""
@@ -36,83 +67,6 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-ImagePath = Annotated[
-    Path, typer.Argument(metavar="IMAGE", help="PNG, JPEG, TIFF, WebP or BMP.", show_default=False)
-]
-NoiseVariance = Annotated[
-    float | None,
-    typer.Option(
-        metavar="NUMBER",
-        help="Variance of the noise in the luminance, intensities from 0 to 1. "
-        "Found from the picture if left out.",
-    ),
-]
-MaxRadius = Annotated[
-    float, typer.Option(metavar="PX", help="Largest blur radius that is looked for, in px.")
-]
-MapSmoothness = Annotated[
-    float, typer.Option(metavar="NUMBER", help="Cost of a change of the radius by 0.1 px.")
-]
-MaskSmoothness = Annotated[
-    float, typer.Option(metavar="NUMBER", help="Cost of the border of the mask.")
-]
-ColorSigma = Annotated[
-    float,
-    typer.Option(
-        metavar="NUMBER",
-        help="How much intensities (0 to 1) differ where the blur may change easily.",
-    ),
-]
-ModeOption = Annotated[
-    Mode,
-    typer.Option(help="Weigh the whole likelihood curve, or the three candidates of the paper."),
-]
-Threshold = Annotated[
-    float, typer.Option(metavar="PX", help="Largest radius that counts as in focus, in px.")
-]
-IntensityRange = Annotated[
-    tuple[float, float] | None,
-    typer.Option(
-        metavar="LOW HIGH",
-        help="Intensities that mean black and white, such as 0 4095 for 12-bit data. "
-        "The range of the file's data type if left out; 0 to 1 for floats.",
-    ),
-]
-MapOutputs = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="PATH",
-        help="Where to write: values in px (.tif) or a drawing with a colour bar (.png). "
-        "Can be given twice. [default: NAME-blur.tif and NAME-blur.png beside IMAGE]",
-    ),
-]
-MaskOutput = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="PATH",
-        help="Where to write the mask (.png): white in focus, black not. "
-        "[default: NAME-mask.png beside IMAGE, and the overlay too]",
-    ),
-]
-OverlayOutput = Annotated[
-    Path | None,
-    typer.Option(
-        "--overlay",
-        metavar="PATH",
-        help="Where to write the picture with the rest dimmed (.png). "
-        "[default: NAME-overlay.png beside IMAGE, and the mask too]",
-    ),
-]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite results that exist.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Print nothing but errors (and --json).")
-]
 
 
 def main() -> None:
@@ -148,51 +102,69 @@ def _program(
 @app.command("map")
 def map_picture(
     image: ImagePath,
+    psf: PSFText = MapSettings.psf,
     noise_variance: NoiseVariance = MapSettings.noise_variance,
+    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
     max_radius: MaxRadius = MapSettings.max_radius,
     smoothness: MapSmoothness = MapSettings.smoothness,
     color_sigma: ColorSigma = MapSettings.color_sigma,
     mode: ModeOption = MapSettings.mode,
+    linearize: LinearizeOption = MapSettings.linearize,
     intensity_range: IntensityRange = None,
     output: MapOutputs = None,
+    confidence: ConfidenceOutput = None,
+    min_confidence: MinConfidence = 0.0,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure the blur radius, in px, at every pixel of IMAGE."""
-    outputs = output or [_beside(image, "-blur.tif"), _beside(image, "-blur.png")]
+    """Measure how wide the blur is, in px, at every pixel of IMAGE."""
+    maps = output or [_beside(image, "-blur.tif"), _beside(image, "-blur.png")]
+    outputs = [*maps, *([confidence] if confidence else [])]
 
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
         settings = MapSettings(
+            psf=psf,
             noise_variance=noise_variance,
+            shot_noise=shot_noise,
             max_radius=max_radius,
             smoothness=smoothness,
             color_sigma=color_sigma,
             mode=mode,
+            linearize=linearize,
         )
-        _check_endings(outputs, ".tif", ".tiff", ".png")
+        settings.family()
+        check_confidence("min_confidence", min_confidence)
+        check_endings(outputs, ".tif", ".tiff", ".png")
         picture = files.read_picture(image)
         files.check_results(outputs, force=force, source=image)
         first, second = _shares(progress)
         candidates = _candidates(picture, settings, intensity_range, first)
-        radius = _blur_map(candidates, picture, settings, intensity_range, second)
-        files.write_results(_encoded_maps(outputs, radius, candidates, settings), force=force)
-        return _facts(image, outputs, candidates) | _map_facts(radius)
+        blur_map = _blur_map(candidates, picture, settings, intensity_range, second)
+        sure = napari_defocus.confidence_map(candidates, blur_map)
+        facts = _map_facts(blur_map, sure, min_confidence)
+        contents = _encoded_maps(maps, blur_map, sure, min_confidence, candidates, settings)
+        contents |= _encoded_confidence(confidence, sure, candidates, settings)
+        files.write_results(contents, force=force)
+        return _facts(image, outputs, candidates, settings) | facts
 
-    _run(measure, as_json, quiet)
+    run(measure, _lines, as_json, quiet)
 
 
 @app.command("segment")
 def segment_picture(
     image: ImagePath,
-    threshold: Threshold = MaskSettings.threshold,
+    threshold: Threshold = None,
+    psf: PSFText = MapSettings.psf,
     noise_variance: NoiseVariance = MapSettings.noise_variance,
+    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
     max_radius: MaxRadius = MapSettings.max_radius,
     smoothness: MaskSmoothness = MaskSettings.smoothness,
     color_sigma: ColorSigma = MaskSettings.color_sigma,
     mode: ModeOption = MapSettings.mode,
+    linearize: LinearizeOption = MapSettings.linearize,
     intensity_range: IntensityRange = None,
     output: MaskOutput = None,
     overlay: OverlayOutput = None,
@@ -208,12 +180,22 @@ def segment_picture(
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
-        settings = MapSettings(noise_variance=noise_variance, max_radius=max_radius, mode=mode)
-        mask_settings = MaskSettings(
-            threshold=threshold, smoothness=smoothness, color_sigma=color_sigma
+        settings = MapSettings(
+            psf=psf,
+            noise_variance=noise_variance,
+            shot_noise=shot_noise,
+            max_radius=max_radius,
+            mode=mode,
+            linearize=linearize,
         )
-        check_threshold(threshold, max_radius)
-        _check_endings(outputs, ".png")
+        family = settings.family()
+        mask_settings = MaskSettings(
+            threshold=usual_threshold(family) if threshold is None else threshold,
+            smoothness=smoothness,
+            color_sigma=color_sigma,
+        )
+        check_threshold(mask_settings.threshold, family.max_scale)
+        check_endings(outputs, ".png")
         picture = files.read_picture(image)
         files.check_results(outputs, force=force, source=image)
         first, second = _shares(progress)
@@ -221,9 +203,9 @@ def segment_picture(
         mask = _mask(candidates, picture, mask_settings, intensity_range, second)
         contents = _encoded_masks(output, overlay, picture, mask, intensity_range)
         files.write_results(contents, force=force)
-        return _facts(image, outputs, candidates) | _mask_facts(mask)
+        return _facts(image, outputs, candidates, settings) | _mask_facts(mask)
 
-    _run(measure, as_json, quiet)
+    run(measure, _lines, as_json, quiet)
 
 
 @app.command("demo")
@@ -231,6 +213,9 @@ def demonstrate(
     folder: Annotated[
         Path, typer.Argument(metavar="[FOLDER]", help="Where to write; made if missing.")
     ] = Path("demo-output"),
+    psf: PSFText = MapSettings.psf,
+    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
+    linearize: LinearizeOption = MapSettings.linearize,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -240,80 +225,92 @@ def demonstrate(
     """
     maps = [folder / "dandelion-blur.tif", folder / "dandelion-blur.png"]
     mask_path, overlay_path = folder / "dandelion-mask.png", folder / "dandelion-overlay.png"
-    outputs = [*maps, mask_path, overlay_path]
-    settings, mask_settings = MapSettings(), MaskSettings()
+    confidence_path = folder / "dandelion-confidence.png"
+    outputs = [*maps, confidence_path, mask_path, overlay_path]
 
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
+        settings = MapSettings(psf=psf, shot_noise=shot_noise, linearize=linearize)
+        family = settings.family()
+        mask_settings = MaskSettings(threshold=usual_threshold(family))
+        check_threshold(mask_settings.threshold, family.max_scale)
         files.check_results(outputs, force=True)
         picture = files.read_picture(_sample())
         first, second = _shares(progress)
         candidates = _candidates(picture, settings, None, first)
-        radius = _blur_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
+        blur_map = _blur_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
+        sure = napari_defocus.confidence_map(candidates, blur_map)
         mask = _mask(candidates, picture, mask_settings, None, within(second, 0.5, 1.0))
-        contents = _encoded_maps(maps, radius, candidates, settings)
+        contents = _encoded_maps(maps, blur_map, sure, 0.0, candidates, settings)
+        contents |= _encoded_confidence(confidence_path, sure, candidates, settings)
         contents |= _encoded_masks(mask_path, overlay_path, picture, mask, None)
         files.write_results(contents, force=True)
-        facts = _facts(Path("dandelion.jpg"), outputs, candidates)
-        return facts | _map_facts(radius) | _mask_facts(mask)
+        facts = _facts(Path("dandelion.jpg"), outputs, candidates, settings)
+        return facts | _map_facts(blur_map, sure, 0.0) | _mask_facts(mask)
 
     def measure_into_folder(progress: Progress) -> dict[str, Any]:
         with _folder_for_results(folder):
             return measure(progress)
 
-    _run(measure_into_folder, as_json, quiet)
-
-
-def _run(measure: Callable[[Progress], dict[str, Any]], as_json: bool, quiet: bool) -> None:
-    started = time.perf_counter()
-    with errors_in_one_line():
-        with progress_in_terminal(quiet) as progress:
-            facts = measure(progress)
-        facts["seconds"] = round(time.perf_counter() - started, 2)
-        if as_json:
-            print_result(json.dumps(facts))
-        elif not quiet:
-            print_result("\n".join(_lines(facts)))
+    run(measure_into_folder, _lines, as_json, quiet)
 
 
 def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
     yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
+    yield f"lens         {facts['psf']}, scale: {facts['scale']}"
     variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
     yield f"noise        variance {variance:.2g} (sigma {sigma:.2f} of 255 grey levels)"
-    if "radius_median_px" in facts:
-        low, high = facts["radius_p5_px"], facts["radius_p95_px"]
+    if facts["shot_noise"]:
+        read, gain = facts["shot_noise"]["read_variance"], facts["shot_noise"]["gain"]
+        yield f"             variance {read:.2g} + {gain:.2g} x intensity"
+    if "blur_median_px" in facts:
+        low, high = facts["blur_p5_px"], facts["blur_p95_px"]
         yield (
-            f"blur radius  median {facts['radius_median_px']:.1f} px, "
+            f"blur         median {facts['blur_median_px']:.1f} px, "
             f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
         )
+        yield (
+            f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
+            f"{facts['confident_percent']:.1f} % of the picture"
+        )
+    if facts.get("left_out_percent"):
+        yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
     if "in_focus_percent" in facts:
         yield f"in focus     {facts['in_focus_percent']:.1f} % of the picture"
-    yield f"time         {facts['seconds']:.1f} s"
-    for path in facts["files"]:
-        yield f"wrote        {path}"
+    yield from last_lines(facts)
 
 
-def _facts(image: Path, outputs: list[Path], candidates: BlurCandidates) -> dict[str, Any]:
+def _facts(
+    image: Path, outputs: list[Path], candidates: BlurCandidates, settings: MapSettings
+) -> dict[str, Any]:
     height, width = candidates.image_shape
     return {
         "image": str(image),
         "width": width,
         "height": height,
+        "psf": settings.psf,
+        "scale": candidates.psf.scale_name,
         "noise_variance": candidates.noise_variance,
         "noise_sigma_grey_levels": 255.0 * candidates.noise_variance**0.5,
+        "shot_noise": asdict(candidates.shot_noise) if candidates.shot_noise else None,
         "files": [str(path) for path in outputs],
     }
 
 
-def _map_facts(radius: NDArray[Any]) -> dict[str, Any]:
+def _map_facts(
+    blur_map: NDArray[Any], confidence: NDArray[Any], min_confidence: float
+) -> dict[str, Any]:
     import numpy as np
 
-    low, median, high = np.percentile(radius, [5, 50, 95])
+    low, median, high = np.percentile(blur_map, [5, 50, 95])
     return {
-        "radius_median_px": float(median),
-        "radius_p5_px": float(low),
-        "radius_p95_px": float(high),
+        "blur_median_px": float(median),
+        "blur_p5_px": float(low),
+        "blur_p95_px": float(high),
+        "confidence_median": float(np.median(confidence)),
+        "confident_percent": 100.0 * float((confidence >= CONFIDENT).mean()),
+        "left_out_percent": 100.0 * float((confidence < min_confidence).mean()),
     }
 
 
@@ -331,13 +328,25 @@ def _candidates(
     intensity_range: tuple[float, float] | None,
     progress: Progress,
 ) -> BlurCandidates:
+    psf = settings.family()
+    noise: float | ShotNoise | None = settings.noise_variance
+    if settings.shot_noise:
+        progress("Measuring the noise", 0.0)
+        noise = napari_defocus.estimate_shot_noise(
+            picture,
+            psf=psf,
+            window=settings.window,
+            linearize=settings.linearize,
+            intensity_range=intensity_range,
+        )
     return napari_defocus.estimate_candidates(
         picture,
-        psf=napari_defocus.Disc(settings.max_radius),
-        noise_variance=settings.noise_variance,
+        psf=psf,
+        noise_variance=noise,
         window=settings.window,
         stride=settings.stride,
         mode=settings.mode,
+        linearize=settings.linearize,
         intensity_range=intensity_range,
         progress=progress,
     )
@@ -405,24 +414,46 @@ def _folder_for_results(folder: Path) -> Iterator[None]:
         raise
 
 
-def _check_endings(outputs: list[Path], *endings: str) -> None:
-    for path in outputs:
-        if path.suffix.lower() not in endings:
-            raise ValueError(f"cannot write {path}: its name must end in {' or '.join(endings)}")
-
-
 def _encoded_maps(
-    outputs: list[Path], radius: NDArray[Any], candidates: BlurCandidates, settings: MapSettings
+    outputs: list[Path],
+    blur_map: NDArray[Any],
+    confidence: NDArray[Any],
+    min_confidence: float,
+    candidates: BlurCandidates,
+    settings: MapSettings,
 ) -> dict[Path, bytes]:
+    import numpy as np
+
     from napari_defocus.files import blur_map_png, blur_map_tiff
 
-    used = asdict(settings) | {"noise_variance": candidates.noise_variance}
+    trusted = np.where(confidence < min_confidence, np.float32(np.nan), blur_map)
+    used = _used(candidates, settings) | {"min_confidence": min_confidence}
+    psf = candidates.psf
     return {
-        path: blur_map_png(radius, settings.max_radius)
+        path: blur_map_png(trusted, psf.max_scale, psf.scale_name, min_confidence)
         if path.suffix.lower() == ".png"
-        else blur_map_tiff(radius, used)
+        else blur_map_tiff(trusted, used, psf.scale_name)
         for path in outputs
     }
+
+
+def _encoded_confidence(
+    output: Path | None,
+    confidence: NDArray[Any],
+    candidates: BlurCandidates,
+    settings: MapSettings,
+) -> dict[Path, bytes]:
+    from napari_defocus.files import confidence_png, confidence_tiff
+
+    if output is None:
+        return {}
+    if output.suffix.lower() == ".png":
+        return {output: confidence_png(confidence)}
+    return {output: confidence_tiff(confidence, _used(candidates, settings))}
+
+
+def _used(candidates: BlurCandidates, settings: MapSettings) -> dict[str, Any]:
+    return asdict(settings) | {"noise_variance": candidates.noise_variance}
 
 
 def _encoded_masks(
@@ -438,3 +469,7 @@ def _encoded_masks(
     if overlay:
         contents[overlay] = overlay_png(picture, mask, intensity_range)
     return contents
+
+
+app.command("calibrate")(lens_commands.calibrate)
+app.command("compare-psf")(lens_commands.compare)

@@ -16,6 +16,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 
 import napari_defocus
 from napari_defocus.image import prepare_image
+from napari_defocus.psf import Disc
 from napari_defocus.settings import MapSettings
 
 PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
@@ -26,6 +27,7 @@ PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_BIT_DEPTH_AT = 24
 
 COLOR_MAP = "viridis"
+NOT_TRUSTED_COLOR = (0.35, 0.35, 0.35)
 SHOWN_SIDE = (480, 1600)
 """Shortest and longest length, in px, of the longer side of a map that is drawn."""
 
@@ -210,15 +212,19 @@ def _in_one_line(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def blur_map_tiff(blur_map: ArrayLike, settings: Mapping[str, Any]) -> bytes:
+def blur_map_tiff(
+    blur_map: ArrayLike, settings: Mapping[str, Any], scale_name: str = Disc.scale_name
+) -> bytes:
     """Encode the values of a blur map as a TIFF file.
 
     Parameters
     ----------
     blur_map : (H, W) array_like
-        Blur radius, in px.
+        Blur scale, in px; NaN where it is not trusted.
     settings : mapping
         What made the map; anything that JSON can hold.
+    scale_name : str
+        What the PSF family's scale measures.
 
     Returns
     -------
@@ -226,11 +232,20 @@ def blur_map_tiff(blur_map: ArrayLike, settings: Mapping[str, Any]) -> bytes:
         A float32 TIFF, deflate-compressed. Its ImageDescription is a JSON object that says
         the quantity, the unit, the version of this package and the settings.
     """
+    quantity = f"defocus blur {scale_name.removesuffix(' (px)')}"
+    return _tiff(blur_map, {"quantity": quantity, "unit": "px"}, settings)
+
+
+def confidence_tiff(confidence: ArrayLike, settings: Mapping[str, Any]) -> bytes:
+    """Encode a confidence map, (H, W) in [0, 1], as a float32 TIFF file like `blur_map_tiff`."""
+    return _tiff(confidence, {"quantity": "confidence of the blur map", "unit": "1"}, settings)
+
+
+def _tiff(values: ArrayLike, what: Mapping[str, str], settings: Mapping[str, Any]) -> bytes:
     import tifffile
 
     description = {
-        "quantity": "defocus blur radius",
-        "unit": "px",
+        **what,
         "software": "napari-defocus",
         "version": napari_defocus.__version__,
         "settings": dict(settings),
@@ -238,7 +253,7 @@ def blur_map_tiff(blur_map: ArrayLike, settings: Mapping[str, Any]) -> bytes:
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
-        np.asarray(blur_map, np.float32),
+        np.asarray(values, np.float32),
         photometric="minisblack",
         compression="zlib",
         description=json.dumps(description),
@@ -248,15 +263,24 @@ def blur_map_tiff(blur_map: ArrayLike, settings: Mapping[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def blur_map_png(blur_map: ArrayLike, max_radius: float = MapSettings.max_radius) -> bytes:
+def blur_map_png(
+    blur_map: ArrayLike,
+    max_scale: float = MapSettings.max_radius,
+    scale_name: str = Disc.scale_name,
+    min_confidence: float = 0.0,
+) -> bytes:
     """Draw a blur map in colour, with a colour bar in px, as a PNG file.
 
     Parameters
     ----------
     blur_map : (H, W) array_like
-        Blur radius, in px.
-    max_radius : float
-        The radius, in px, at the upper end of the colour bar; the lower end is 0 px.
+        Blur scale, in px; NaN, drawn grey, where it is not trusted.
+    max_scale : float
+        The scale, in px, at the upper end of the colour bar; the lower end is 0 px.
+    scale_name : str
+        What the PSF family's scale measures, with its unit.
+    min_confidence : float
+        Below what confidence the map is not trusted; told if it is above 0.
 
     Returns
     -------
@@ -264,19 +288,34 @@ def blur_map_png(blur_map: ArrayLike, max_radius: float = MapSettings.max_radius
         A PNG file: one picture pixel a pixel of the map, unless the map is very small or
         very large.
     """
+    note = f"grey: confidence below {min_confidence:g}" if min_confidence > 0 else ""
+    return _drawing(blur_map, COLOR_MAP, max_scale, f"blur {scale_name}", note)
+
+
+def confidence_png(confidence: ArrayLike) -> bytes:
+    """Draw a confidence map, (H, W) in [0, 1], in grey with a colour bar, as a PNG file."""
+    return _drawing(confidence, "gray", 1.0, "confidence")
+
+
+def _drawing(
+    values: ArrayLike, color_map: str, highest: float, label: str, note: str = ""
+) -> bytes:
+    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
-    radius = np.asarray(blur_map, np.float32)
-    width, height = _shown_size(*radius.shape)
-    height, margin, bar_room, dpi = max(height, 240), 20, 100, 100
-    across, up = width + bar_room + 2 * margin, height + 2 * margin
+    shown = np.asarray(values, np.float32)
+    width, height = _shown_size(*shown.shape)
+    height, margin, bar_room, note_room, dpi = max(height, 240), 20, 100, 20 * bool(note), 100
+    across, up = width + bar_room + 2 * margin, height + note_room + 2 * margin
     figure = Figure(figsize=(across / dpi, up / dpi), dpi=dpi)
-    map_axes = figure.add_axes((margin / across, margin / up, width / across, height / up))
-    bar_left = width + 2 * margin
-    bar_axes = figure.add_axes((bar_left / across, margin / up, margin / across, height / up))
-    shown = map_axes.imshow(radius, cmap=COLOR_MAP, vmin=0.0, vmax=max_radius)
+    bottom, tall = (margin + note_room) / up, height / up
+    map_axes = figure.add_axes((margin / across, bottom, width / across, tall))
+    bar_axes = figure.add_axes(((width + 2 * margin) / across, bottom, margin / across, tall))
+    colors = colormaps[color_map].with_extremes(bad=NOT_TRUSTED_COLOR)
+    drawn = map_axes.imshow(shown, cmap=colors, vmin=0.0, vmax=highest)
     map_axes.set_axis_off()
-    figure.colorbar(shown, cax=bar_axes, label="blur radius (px)")
+    figure.colorbar(drawn, cax=bar_axes, label=label)
+    figure.text(margin / across, margin / 2 / up, note)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()

@@ -1,0 +1,176 @@
+"""What the terminal commands share: their options, how they run, and what they say last."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from napari_defocus.progress import Progress
+from napari_defocus.settings import Linearize, MaskSettings, Mode
+from napari_defocus.terminal import errors_in_one_line, print_result, progress_in_terminal
+
+ImagePath = Annotated[
+    Path, typer.Argument(metavar="IMAGE", help="PNG, JPEG, TIFF, WebP or BMP.", show_default=False)
+]
+NoiseVariance = Annotated[
+    float | None,
+    typer.Option(
+        metavar="NUMBER",
+        help="Variance of the noise in the luminance, intensities from 0 to 1. "
+        "Found from the picture if left out.",
+    ),
+]
+ShotNoiseOption = Annotated[
+    bool,
+    typer.Option(
+        "--shot-noise",
+        help="The noise grows with the intensity, as that of counted photons; how much, is found "
+        "from the picture.",
+    ),
+]
+PSFText = Annotated[
+    str,
+    typer.Option(
+        "--psf",
+        metavar="TEXT",
+        help="What a lens makes of a point: disc, polygon:BLADES[:ROTATION], "
+        "annulus:OBSTRUCTION, gaussian, generalized-gaussian:EXPONENT, or the .npz file that "
+        "calibrate wrote.",
+    ),
+]
+LinearizeOption = Annotated[
+    Linearize | None,
+    typer.Option(
+        help="Decode the intensities into linear light first: srgb for pictures that a camera "
+        "made for screens."
+    ),
+]
+MaxRadius = Annotated[
+    float,
+    typer.Option(
+        metavar="PX",
+        help="Largest blur radius that is looked for, in px. A Gaussian is looked for up to a "
+        "standard deviation of half of it, as a disc of that radius has.",
+    ),
+]
+MapSmoothness = Annotated[
+    float, typer.Option(metavar="NUMBER", help="Cost of a change of the radius by 0.1 px.")
+]
+MaskSmoothness = Annotated[
+    float, typer.Option(metavar="NUMBER", help="Cost of the border of the mask.")
+]
+ColorSigma = Annotated[
+    float,
+    typer.Option(
+        metavar="NUMBER",
+        help="How much intensities (0 to 1) differ where the blur may change easily.",
+    ),
+]
+ModeOption = Annotated[
+    Mode,
+    typer.Option(help="Weigh the whole likelihood curve, or the three candidates of the paper."),
+]
+Threshold = Annotated[
+    float | None,
+    typer.Option(
+        metavar="PX",
+        help="Largest radius that counts as in focus, in px; for a Gaussian, the largest "
+        f"standard deviation. [default: {MaskSettings.threshold:g}, or half of it for a Gaussian]",
+    ),
+]
+IntensityRange = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        metavar="LOW HIGH",
+        help="Intensities that mean black and white, such as 0 4095 for 12-bit data. "
+        "The range of the file's data type if left out; 0 to 1 for floats.",
+    ),
+]
+MapOutputs = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help="Where to write: values in px (.tif) or a drawing with a colour bar (.png). "
+        "Can be given twice. [default: NAME-blur.tif and NAME-blur.png beside IMAGE]",
+    ),
+]
+ConfidenceOutput = Annotated[
+    Path | None,
+    typer.Option(
+        "--confidence",
+        metavar="PATH",
+        help="Where to write how sure the map is at every pixel, from 0 to 1: values (.tif) or "
+        "a drawing (.png).",
+    ),
+]
+MinConfidence = Annotated[
+    float,
+    typer.Option(
+        metavar="NUMBER",
+        help="Leave pixels of a lower confidence out of the map: NaN in the values, grey in the "
+        "drawing.",
+    ),
+]
+MaskOutput = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help="Where to write the mask (.png): white in focus, black not. "
+        "[default: NAME-mask.png beside IMAGE, and the overlay too]",
+    ),
+]
+OverlayOutput = Annotated[
+    Path | None,
+    typer.Option(
+        "--overlay",
+        metavar="PATH",
+        help="Where to write the picture with the rest dimmed (.png). "
+        "[default: NAME-overlay.png beside IMAGE, and the mask too]",
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite results that exist.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Print nothing but errors (and --json).")
+]
+
+
+def run(
+    work: Callable[[Progress], dict[str, Any]],
+    lines: Callable[[Mapping[str, Any]], Iterator[str]],
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Do the work of a command and print the facts that it returns."""
+    started = time.perf_counter()
+    with errors_in_one_line():
+        with progress_in_terminal(quiet) as progress:
+            facts = work(progress)
+        facts["seconds"] = round(time.perf_counter() - started, 2)
+        if as_json:
+            print_result(json.dumps(facts))
+        elif not quiet:
+            print_result("\n".join(lines(facts)))
+
+
+def last_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Say how long it took and what was written."""
+    yield f"time         {facts['seconds']:.1f} s"
+    for path in facts["files"]:
+        yield f"wrote        {path}"
+
+
+def check_endings(outputs: list[Path], *endings: str) -> None:
+    """Check what the names of results end in."""
+    for path in outputs:
+        if path.suffix.lower() not in endings:
+            raise ValueError(f"cannot write {path}: its name must end in {' or '.join(endings)}")
