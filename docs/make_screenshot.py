@@ -38,9 +38,10 @@ def analyse(viewer: napari.Viewer) -> None:
 
 def arrange(viewer: napari.Viewer) -> None:
     """Put the map below the photograph, and the mask on a copy of it below the map."""
-    picture, blur_map, mask = viewer.layers
+    picture, blur_map = viewer.layers["dandelion"], viewer.layers["dandelion blur (px)"]
+    mask = viewer.layers["dandelion in focus"]
     viewer.add_image(picture.data, name="dandelion again")
-    viewer.layers.move(3, 2)
+    viewer.layers.move(len(viewer.layers) - 1, viewer.layers.index(mask))
     height = picture.data.shape[0] + GAP
     blur_map.translate = (height, 0)
     viewer.layers["dandelion again"].translate = mask.translate = (2 * height, 0)

@@ -8,40 +8,89 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from napari_defocus.calibration import calibrate_psf
     from napari_defocus.candidates import BlurCandidates, estimate_candidates
+    from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
+    from napari_defocus.confidence import confidence_map
     from napari_defocus.labeling import estimate_blur_map, label_blur_map
-    from napari_defocus.noise import estimate_noise_variance
+    from napari_defocus.layered import simulate_layered_defocus
+    from napari_defocus.noise import ShotNoise, estimate_noise_variance, estimate_shot_noise
     from napari_defocus.progress import Cancelled
-    from napari_defocus.psf import Disc, PSFFamily
+    from napari_defocus.psf import (
+        Annulus,
+        Disc,
+        Gaussian,
+        GeneralizedGaussian,
+        KernelFunction,
+        MeasuredPSF,
+        Polygon,
+        PSFFamily,
+        psf_from_text,
+    )
     from napari_defocus.segmentation import segment_in_focus
     from napari_defocus.simulation import simulate_defocus
+    from napari_defocus.spectrum import FitReport, fit_report
 
 __version__ = "0.1.0"
 
 _HOME_OF = {
+    "Annulus": "psf",
     "BlurCandidates": "candidates",
     "Cancelled": "progress",
     "Disc": "psf",
+    "FitReport": "spectrum",
+    "Gaussian": "psf",
+    "GeneralizedGaussian": "psf",
+    "KernelFunction": "psf",
+    "MeasuredPSF": "psf",
+    "PSFComparison": "comparison",
+    "PSFEvidence": "comparison",
     "PSFFamily": "psf",
+    "Polygon": "psf",
+    "ShotNoise": "noise",
+    "calibrate_psf": "calibration",
+    "compare_psf": "comparison",
+    "confidence_map": "confidence",
     "estimate_blur_map": "labeling",
     "estimate_candidates": "candidates",
     "estimate_noise_variance": "noise",
+    "estimate_shot_noise": "noise",
+    "fit_report": "spectrum",
     "label_blur_map": "labeling",
+    "psf_from_text": "psf",
     "segment_in_focus": "segmentation",
     "simulate_defocus": "simulation",
+    "simulate_layered_defocus": "layered",
 }
 
 __all__ = [
+    "Annulus",
     "BlurCandidates",
     "Cancelled",
     "Disc",
+    "FitReport",
+    "Gaussian",
+    "GeneralizedGaussian",
+    "KernelFunction",
+    "MeasuredPSF",
+    "PSFComparison",
+    "PSFEvidence",
     "PSFFamily",
+    "Polygon",
+    "ShotNoise",
+    "calibrate_psf",
+    "compare_psf",
+    "confidence_map",
     "estimate_blur_map",
     "estimate_candidates",
     "estimate_noise_variance",
+    "estimate_shot_noise",
+    "fit_report",
     "label_blur_map",
+    "psf_from_text",
     "segment_in_focus",
     "simulate_defocus",
+    "simulate_layered_defocus",
 ]
 
 

@@ -7,7 +7,7 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.image import prepare_image
-from napari_defocus.psf import Disc, PSFFamily
+from napari_defocus.psf import Disc, PSFFamily, as_family
 
 Float32 = NDArray[np.float32]
 
@@ -35,7 +35,7 @@ def simulate_defocus(
     blur_map : (H, W) array_like
         Scale at every pixel, in px, within the family's domain. Kernels are interpolated
         between scales 0.05 px apart.
-    psf : PSFFamily, optional
+    psf : PSFFamily or callable, optional
     noise_variance : float, optional
         Variance of the white Gaussian noise in each channel, intensities in [0, 1].
     rng : int or numpy.random.Generator, optional
@@ -64,6 +64,7 @@ def simulate_defocus(
            [0.145, 0.318, 0.145],
            [0.025, 0.145, 0.025]], dtype=float32)
     """
+    psf = as_family(psf)
     picture = prepare_image(image, intensity_range)
     scales = _checked_map(blur_map, picture.shape, psf)
     if not (np.isfinite(noise_variance) and noise_variance >= 0):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import napari_defocus
+from napari_defocus import ShotNoise
 
 
 def has_display():
@@ -32,22 +33,34 @@ def texture():
 
 @dataclass
 class StandIn:
-    """The method's three steps, at once and counted."""
+    """The method's steps, at once and counted."""
 
     radius: float = 2.5
     noise_variance: float = 3e-5
     estimations: list = field(default_factory=list)
+    noises: list = field(default_factory=list)
     labelings: list = field(default_factory=list)
     segmentations: list = field(default_factory=list)
 
     def estimate_candidates(self, image, *, progress, **arguments):
         self.estimations.append({"image": image, **arguments})
         progress("Estimating blur", 0.5)
-        return SimpleNamespace(image_shape=image.shape[:2], noise_variance=self.noise_variance)
+        return SimpleNamespace(
+            image_shape=image.shape[:2],
+            noise_variance=self.noise_variance,
+            psf=arguments["psf"],
+        )
+
+    def estimate_shot_noise(self, image, **arguments):
+        self.noises.append(arguments)
+        return ShotNoise(1e-5, 1e-4)
 
     def label_blur_map(self, candidates, image, *, progress, **arguments):
         self.labelings.append(arguments)
         return np.full(candidates.image_shape, self.radius, np.float32)
+
+    def confidence_map(self, candidates, blur_map):
+        return np.linspace(0, 1, blur_map.size, dtype=np.float32).reshape(blur_map.shape)
 
     def segment_in_focus(self, candidates, image, *, progress, threshold, **arguments):
         self.segmentations.append({"threshold": threshold, **arguments})
@@ -57,7 +70,13 @@ class StandIn:
 @pytest.fixture
 def method(monkeypatch):
     stand_in = StandIn()
-    for name in ("estimate_candidates", "label_blur_map", "segment_in_focus"):
+    for name in (
+        "estimate_candidates",
+        "estimate_shot_noise",
+        "label_blur_map",
+        "confidence_map",
+        "segment_in_focus",
+    ):
         monkeypatch.setitem(vars(napari_defocus), name, getattr(stand_in, name))
     return stand_in
 

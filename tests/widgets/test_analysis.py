@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.analysis import Analysis
+from napari_defocus import Annulus, Polygon, ShotNoise, simulate_defocus
+from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
+from napari_defocus.widgets.analysis import Analysis, Comparison
 from napari_defocus.widgets.kept_candidates import KeptCandidates
 from napari_defocus.widgets.layers import shown_plane
 
@@ -44,7 +45,16 @@ def test_mask_reuses_what_the_map_has_found(viewer, layer, method):
     assert len(method.estimations) == 1
 
 
-@pytest.mark.parametrize("changed", [{"max_radius": 5.0}, {"noise_variance": 1e-4}])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"max_radius": 5.0},
+        {"noise_variance": 1e-4},
+        {"psf": "annulus:0.5"},
+        {"linearize": "srgb"},
+        {"shot_noise": True},
+    ],
+)
 def test_other_estimation_settings_estimate_again(viewer, layer, method, changed):
     kept = KeptCandidates()
     analysis(viewer, layer).run(kept)
@@ -73,6 +83,44 @@ def test_settings_reach_the_method(viewer, layer, method):
     assert method.estimations[0]["mode"] == MapSettings.mode
     assert method.segmentations[0]["threshold"] == 1.2
     assert method.segmentations[0]["smoothness"] == MaskSettings.smoothness
+
+
+def test_lens_light_and_noise_reach_the_method(viewer, layer, method):
+    analysis(viewer, layer, psf="polygon:5", linearize="srgb", shot_noise=True).run(
+        KeptCandidates()
+    )
+    [estimation] = method.estimations
+    assert estimation["psf"] == method.noises[0]["psf"] == Polygon(5)
+    assert estimation["linearize"] == method.noises[0]["linearize"] == "srgb"
+    assert estimation["noise_variance"] == ShotNoise(1e-5, 1e-4)
+
+
+@pytest.mark.parametrize(("confidence", "names"), [(True, ["leaf confidence"]), (False, [])])
+def test_confidence_comes_with_the_map_if_it_is_wanted(viewer, layer, method, confidence, names):
+    wanted = Analysis(
+        plane=shown_plane(layer, viewer.dims), estimation=MapSettings(), confidence=confidence
+    )
+    layers = wanted.run(KeptCandidates())
+    assert [keywords["name"] for _, keywords, _ in layers] == ["leaf blur (px)", *names]
+
+
+def test_lens_and_threshold_that_cannot_be_are_refused_before_any_work(viewer, layer, method):
+    with pytest.raises(ValueError, match="no such file"):
+        analysis(viewer, layer, psf="none.npz")
+    with pytest.raises(ValueError, match="below 4 px"):
+        analysis(viewer, layer, psf="gaussian", threshold=4.5)
+    assert not method.estimations
+
+
+def test_comparison_has_the_lens_of_the_form_too_and_the_right_one_first(viewer, gravel):
+    radius = np.full(gravel.shape, 5.0)
+    seen = simulate_defocus(gravel, radius, psf=Annulus(0.5), noise_variance=1e-6, rng=0)
+    plane = shown_plane(viewer.add_image(seen.astype(np.float32)), viewer.dims)
+    settings = MapSettings(psf="annulus:0.6")
+    rows = Comparison(plane=plane, estimation=settings).run()
+    assert {text for text, _ in rows} == {*COMPARED_PSFS, "annulus:0.6"}
+    assert rows[0][0] == "annulus:0.5"
+    assert rows[0][1].median_scale == pytest.approx(5, abs=0.2)
 
 
 def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, method):

@@ -11,7 +11,10 @@ from napari_defocus.widgets.layers import (
     METADATA_KEY,
     NotAnalysableError,
     blur_map_layer,
+    confidence_layer,
     in_focus_layer,
+    made_by_us,
+    not_trusted_layer,
     show_results,
     shown_plane,
 )
@@ -71,6 +74,67 @@ def test_blur_map_has_one_colour_range_and_a_colour_bar(viewer, texture):
     assert tuple(blur_map.contrast_limits) == (0.0, 6.0)
     assert tuple(blur_map.contrast_limits_range) == (0.0, 6.0)
     assert blur_map.colorbar.visible
+
+
+@pytest.mark.parametrize(
+    ("psf", "name", "largest"),
+    [
+        ("polygon:6", "leaf blur (px)", 6.0),
+        ("gaussian", "leaf blur standard deviation (px)", 3.0),
+        ("generalized-gaussian:4", "leaf blur standard deviation (px)", 3.0),
+    ],
+)
+def test_blur_map_says_what_its_lens_measures(viewer, texture, psf, name, largest):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    settings = MapSettings(psf=psf, max_radius=6.0)
+    blur_map = blur_map_layer(plane, np.ones(texture.shape), settings, 3e-5)
+    [layer] = show_results(viewer, [blur_map])
+    assert layer.name == name
+    assert tuple(layer.contrast_limits) == (0.0, largest)
+    assert layer.metadata[METADATA_KEY]["scale"] == settings.family().scale_name
+
+
+def test_map_of_another_lens_takes_the_place_of_the_map(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    for psf in ("disc", "annulus:0.5"):
+        layer = blur_map_layer(plane, np.ones(texture.shape), MapSettings(psf=psf), 3e-5)
+        show_results(viewer, [layer])
+    assert [layer.name for layer in viewer.layers] == ["leaf", "leaf blur (px)"]
+    assert viewer.layers[1].metadata[METADATA_KEY]["settings"]["psf"] == "annulus:0.5"
+
+
+def test_confidence_and_what_is_not_trusted_lie_on_the_picture(viewer, texture):
+    picture = viewer.add_image(texture, name="leaf", **PLACED)
+    values = np.linspace(0, 1, texture.size, dtype=np.float32).reshape(texture.shape)
+    result = confidence_layer(plane_of(picture, viewer), values, MapSettings(), 3e-5)
+    confidence, cover = show_results(viewer, [result, not_trusted_layer(result, 0.25)])
+    assert (confidence.name, cover.name) == ("leaf confidence", "leaf not trusted")
+    for layer in (confidence, cover):
+        np.testing.assert_allclose(corners_in_world(layer), corners_in_world(picture))
+        assert layer.units == picture.units
+        assert layer.axis_labels == ("y", "x")
+    assert tuple(confidence.contrast_limits) == (0.0, 1.0)
+    assert confidence.colorbar.visible
+    assert not confidence.visible
+    assert isinstance(cover, Labels)
+    np.testing.assert_array_equal(cover.data, values < 0.25)
+    assert cover.metadata[METADATA_KEY]["min_confidence"] == 0.25
+    color = cover.colormap.map(np.array([0, 1]))
+    assert color[0, 3] == 0
+    assert np.ptp(color[1, :3]) == 0
+    assert color[1, 0] < 0.3
+    again = not_trusted_layer(confidence.as_layer_data_tuple(), 0.5)
+    assert show_results(viewer, [again]) == [cover]
+    np.testing.assert_array_equal(cover.data, values < 0.5)
+
+
+def test_results_are_no_pictures_to_analyse(viewer, texture):
+    picture = viewer.add_image(texture, name="leaf")
+    results = show_results(viewer, results_of(plane_of(picture, viewer)))
+    assert made_by_us(picture) is None
+    assert [made_by_us(layer) for layer in results] == ["blur map", "in focus"]
+    picture.metadata["napari_defocus"] = "somebody's note"
+    assert made_by_us(picture) is None
 
 
 def test_mask_colours_what_is_in_focus_and_nothing_else(viewer, texture):

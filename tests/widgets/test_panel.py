@@ -8,6 +8,7 @@ from napari.components import ViewerModel
 from napari.utils.notifications import notification_manager
 
 import napari_defocus
+from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets import panel
 from napari_defocus.widgets.blur_map import BlurMapWidget
@@ -79,9 +80,9 @@ def names(viewer):
 @pytest.mark.parametrize(
     ("widget_class", "made"),
     [
-        (BlurMapWidget, ["leaf blur (px)"]),
+        (BlurMapWidget, ["leaf blur (px)", "leaf confidence"]),
         (InFocusWidget, ["leaf in focus"]),
-        (MapAndMaskWidget, ["leaf blur (px)", "leaf in focus"]),
+        (MapAndMaskWidget, ["leaf blur (px)", "leaf confidence", "leaf in focus"]),
     ],
 )
 def test_widget_makes_its_layers(window, docked, finish, method, texture, widget_class, made):
@@ -127,6 +128,136 @@ def test_form_reaches_the_method(viewer, opened, finish, method, texture):
     assert method.estimations[0]["noise_variance"] == 1e-4
     assert method.segmentations[0]["threshold"] == 3
     assert tuple(viewer.layers["leaf blur (px)"].contrast_limits) == (0.0, 5.0)
+
+
+def test_lens_light_and_noise_of_the_form_reach_the_method(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(BlurMapWidget)
+    widget.settings.lens.take("generalized-gaussian:4")
+    widget.settings.linear_light.value = True
+    widget.settings.noise_variance.value = "nonsense that has no say"
+    widget.settings.shot_noise.value = True
+    assert not widget.settings.noise_variance.enabled
+    finish(widget)
+    [estimation] = method.estimations
+    assert estimation["psf"] == GeneralizedGaussian(4.0, 4.0)
+    assert estimation["linearize"] == "srgb"
+    assert estimation["noise_variance"] == ShotNoise(1e-5, 1e-4)
+    assert tuple(viewer.layers["leaf blur standard deviation (px)"].contrast_limits) == (0.0, 4.0)
+
+
+def test_threshold_follows_the_scale_of_the_lens_until_it_is_changed(viewer, opened):
+    settings = opened(InFocusWidget).settings
+    for lens, threshold in [("gaussian", 1.0), ("polygon", 2.0), ("generalized-gaussian", 1.0)]:
+        settings.lens.lens.value = lens
+        assert settings.threshold.value == threshold
+    settings.threshold.value = 1.5
+    settings.lens.lens.value = "measured"
+    assert settings.threshold.value == 1.5
+
+
+def test_no_confidence_layer_if_it_is_not_wanted(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(BlurMapWidget)
+    widget.settings.confidence.value = False
+    assert not widget.settings.min_confidence.enabled
+    finish(widget)
+    assert names(viewer) == ["leaf", "leaf blur (px)"]
+
+
+def test_hiding_what_is_not_trusted_does_not_estimate_again(
+    viewer, opened, finish, method, texture
+):
+    viewer.add_image(texture, name="leaf", scale=(2, 3))
+    widget = opened(BlurMapWidget)
+    widget.settings.min_confidence.value = 0.25
+    assert names(viewer) == ["leaf"], "there is nothing to hide yet"
+    finish(widget)
+    cover = viewer.layers["leaf not trusted"]
+    confidence = viewer.layers["leaf confidence"].data
+    assert 0 <= confidence.min() <= confidence.max() <= 1
+    for limit in (0.25, 0.75, 0.0):
+        widget.settings.min_confidence.value = limit
+        np.testing.assert_array_equal(cover.data, confidence < limit)
+    assert tuple(cover.scale) == (2, 3)
+    assert len(method.estimations) == len(method.labelings) == 1
+    assert len(viewer.layers) == 4
+
+
+def test_nothing_is_covered_unless_it_is_asked_for(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    finish(opened(BlurMapWidget))
+    assert "leaf not trusted" not in names(viewer)
+
+
+def test_only_the_fields_that_the_lens_needs_are_shown(window, docked):
+    lens = docked(BlurMapWidget).settings.lens
+    for name, needed in {
+        "disc": [],
+        "polygon": [lens.blades, lens.rotation],
+        "annulus": [lens.obstruction],
+        "gaussian": [],
+        "generalized-gaussian": [lens.exponent],
+        "measured": [lens.file],
+    }.items():
+        lens.lens.value = name
+        shown = [field for field in lens.fields()[1:] if not field.native.isHidden()]
+        assert shown == needed
+
+
+def test_more_settings_are_hidden_until_they_are_asked_for(window, docked):
+    settings = docked(MapAndMaskWidget).settings
+    for shown in (False, True, False):
+        hidden = {field.native.isHidden() for field in settings.more_fields()}
+        assert hidden == {not shown}
+        assert not settings.threshold.native.isHidden()
+        settings.more.native.click()
+
+
+def test_which_lens_fits_is_shown_and_taken(viewer, opened, qtbot, gravel):
+    radius = np.full(gravel.shape, 5.0)
+    seen = simulate_defocus(gravel, radius, psf=Annulus(0.5), noise_variance=1e-6, rng=0)
+    viewer.add_image(seen.astype(np.float32), name="gravel")
+    viewer.add_image(gravel, name="other")
+    widget = opened(BlurMapWidget)
+    widget.image.value = viewer.layers["gravel"]
+    assert widget.best_button.native.isHidden()
+    with qtbot.waitSignal(widget.compare().finished, timeout=60_000):
+        assert not widget.compare_button.enabled
+        assert not widget.run_button.enabled
+    assert widget.compare_button.enabled
+    table = widget.comparison.value
+    assert table.index("annulus:0.5") < table.index("annulus:0.3") < table.index("disc")
+    assert "5.0 px" in table
+    assert widget.best_button.text == "Take the best: annulus:0.5"
+    widget.best_button.native.click()
+    assert widget.settings.map_settings().psf == "annulus:0.5"
+    assert names(viewer) == ["gravel", "other"]
+    widget.image.value = viewer.layers["other"]
+    assert widget.best_button.native.isHidden(), "it was about another picture"
+
+
+def test_comparison_of_a_picture_without_texture_is_said_in_plain_words(
+    viewer, opened, qtbot, messages
+):
+    viewer.add_image(np.zeros((60, 60), np.uint8), name="black")
+    widget = opened(BlurMapWidget)
+    with qtbot.waitSignal(widget.compare().finished, timeout=30_000):
+        pass
+    assert "no texture" in messages()[0]
+    assert widget.best_button.native.isHidden()
+
+
+def test_measured_lens_without_a_file_is_said_in_plain_words(viewer, opened, texture, messages):
+    viewer.add_image(texture)
+    widget = opened(BlurMapWidget)
+    widget.settings.lens.lens.value = "measured"
+    assert widget.run() is None
+    assert widget.compare() is None
+    assert messages()[0] == "Choose the file of the measured lens first."
+    widget.settings.lens.file.value = "none.npz"
+    assert widget.run() is None
+    assert "no such file" in messages()[2]
 
 
 def test_second_threshold_does_not_estimate_again(viewer, opened, finish, method, texture):
@@ -287,7 +418,7 @@ def test_defect_of_the_method_is_reported_once_and_the_widget_goes_on(
         finish(widget)
     assert messages() == ["a defect"]
     finish(widget)
-    assert names(viewer) == ["leaf", "leaf blur (px)"]
+    assert names(viewer) == ["leaf", "leaf blur (px)", "leaf confidence"]
 
 
 def test_active_image_is_chosen_and_results_are_not_offered(
@@ -318,7 +449,7 @@ def test_closing_the_widget_ends_its_run(window, docked, qtbot, endless_method, 
 def test_widgets_are_in_the_menus(window):
     for menu in (window.window.layers_menu, window.window.plugins_menu):
         shown = list(texts(menu))
-        for name in ("Blur map", "In focus", "Blur map and in focus"):
+        for name in ("Blur map", "In focus", "Blur map and in focus", "Calibrate a lens"):
             assert f"{name} (Defocus)" in shown
 
 

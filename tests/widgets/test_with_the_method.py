@@ -43,6 +43,9 @@ def test_sharp_half_and_blurred_half_are_told_apart(viewer, run, qtbot, dtype):
     with qtbot.waitSignal(run()[1].finished, timeout=120_000):
         pass
     blur_map, mask = viewer.layers["halves blur (px)"], viewer.layers["halves in focus"]
+    confidence = viewer.layers["halves confidence"].data
+    assert 0 <= confidence.min() <= confidence.max() <= 1
+    assert np.median(confidence) > 0.5
     assert np.median(blur_map.data[:, 20:60]) < 1.5
     assert np.median(blur_map.data[:, 100:140]) == pytest.approx(4.0, abs=0.4)
     assert mask.data[:, 20:60].mean() > 0.9

@@ -9,12 +9,23 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.progress import Progress, silent, within
-from napari_defocus.settings import MapSettings, MaskSettings, check_threshold
+from napari_defocus.settings import (
+    COMPARED_PSFS,
+    MapSettings,
+    MaskSettings,
+    check_threshold,
+    psf_of,
+)
 from napari_defocus.widgets.kept_candidates import KeptCandidates, fingerprint
-from napari_defocus.widgets.layers import Plane, blur_map_layer, in_focus_layer
+from napari_defocus.widgets.layers import (
+    Plane,
+    blur_map_layer,
+    confidence_layer,
+    in_focus_layer,
+)
 
 if TYPE_CHECKING:
-    from napari_defocus import BlurCandidates
+    from napari_defocus import BlurCandidates, PSFEvidence, ShotNoise
 
 ESTIMATION_SHARE = 0.6
 """Of the time of a run; the rest is labelling."""
@@ -33,17 +44,21 @@ class Analysis:
         What is segmented with; None for no mask.
     blur_map : bool
         Whether a blur map is wanted.
+    confidence : bool
+        Whether the blur map's confidence is wanted too.
     """
 
     plane: Plane
     estimation: MapSettings
     mask: MaskSettings | None = None
     blur_map: bool = True
+    confidence: bool = True
 
     def __post_init__(self) -> None:
         """Refuse impossible settings before any work is done with them."""
+        family = self.estimation.family()
         if self.mask is not None:
-            check_threshold(self.mask.threshold, self.estimation.max_radius)
+            check_threshold(self.mask.threshold, family.max_scale)
 
     def run(self, kept: KeptCandidates, progress: Progress = silent) -> list[LayerDataTuple]:
         """Return the wanted result layers.
@@ -59,12 +74,13 @@ class Analysis:
         span = self.plane.intensity_range(image)
         progress("Reading the picture", 0.0)
         candidates = self._candidates(image, span, kept, within(progress, 0.0, ESTIMATION_SHARE))
-        steps = [self._map_layer] * self.blur_map + [self._mask_layer] * (self.mask is not None)
+        steps = [self._map_layers] * self.blur_map + [self._mask_layers] * (self.mask is not None)
         share = (1.0 - ESTIMATION_SHARE) / len(steps)
         starts = [ESTIMATION_SHARE + share * n for n in range(len(steps))]
         return [
-            step(candidates, image, span, within(progress, start, start + share))
+            layer
             for step, start in zip(steps, starts, strict=True)
+            for layer in step(candidates, image, span, within(progress, start, start + share))
         ]
 
     def _candidates(
@@ -74,30 +90,42 @@ class Analysis:
         kept: KeptCandidates,
         progress: Progress,
     ) -> BlurCandidates:
-        from napari_defocus import Disc, estimate_candidates
+        from napari_defocus import estimate_candidates, estimate_shot_noise
 
-        arguments: dict[str, Any] = {
-            "psf": Disc(self.estimation.max_radius),
-            "noise_variance": self.estimation.noise_variance,
-            "window": self.estimation.window,
-            "stride": self.estimation.stride,
-            "mode": self.estimation.mode,
+        estimation = self.estimation
+        common: dict[str, Any] = {
+            "psf": estimation.family(),
+            "window": estimation.window,
+            "linearize": estimation.linearize,
             "intensity_range": span,
         }
+        key = (fingerprint(image), estimation.noise_variance, estimation.shot_noise)
+        key += (estimation.stride, estimation.mode, *common.values())
 
         def estimate() -> BlurCandidates:
-            return estimate_candidates(image, **arguments, progress=progress)
+            noise: float | ShotNoise | None = estimation.noise_variance
+            if estimation.shot_noise:
+                progress("Measuring the noise", 0.0)
+                noise = estimate_shot_noise(image, **common)
+            return estimate_candidates(
+                image,
+                noise_variance=noise,
+                stride=estimation.stride,
+                mode=estimation.mode,
+                **common,
+                progress=progress,
+            )
 
-        return kept.get(self.plane.layer, (fingerprint(image), *arguments.values()), estimate)
+        return kept.get(self.plane.layer, key, estimate)
 
-    def _map_layer(
+    def _map_layers(
         self,
         candidates: BlurCandidates,
         image: NDArray[Any],
         span: tuple[float, float] | None,
         progress: Progress,
-    ) -> LayerDataTuple:
-        from napari_defocus import label_blur_map
+    ) -> list[LayerDataTuple]:
+        from napari_defocus import confidence_map, label_blur_map
 
         blur_map = label_blur_map(
             candidates,
@@ -107,15 +135,20 @@ class Analysis:
             intensity_range=span,
             progress=progress,
         )
-        return blur_map_layer(self.plane, blur_map, self.estimation, candidates.noise_variance)
+        used = self.estimation, candidates.noise_variance
+        layers = [blur_map_layer(self.plane, blur_map, *used, candidates.psf)]
+        if self.confidence:
+            progress("Measuring the confidence", 1.0)
+            layers.append(confidence_layer(self.plane, confidence_map(candidates, blur_map), *used))
+        return layers
 
-    def _mask_layer(
+    def _mask_layers(
         self,
         candidates: BlurCandidates,
         image: NDArray[Any],
         span: tuple[float, float] | None,
         progress: Progress,
-    ) -> LayerDataTuple:
+    ) -> list[LayerDataTuple]:
         from napari_defocus import segment_in_focus
 
         assert self.mask is not None
@@ -128,6 +161,40 @@ class Analysis:
             intensity_range=span,
             progress=progress,
         )
-        return in_focus_layer(
-            self.plane, mask, self.mask, self.estimation, candidates.noise_variance
+        return [
+            in_focus_layer(self.plane, mask, self.mask, self.estimation, candidates.noise_variance)
+        ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Which lens fits a plane.
+
+    Attributes
+    ----------
+    plane : Plane
+    estimation : MapSettings
+        Its lens is compared with `COMPARED_PSFS`.
+    """
+
+    plane: Plane
+    estimation: MapSettings
+
+    def run(self, progress: Progress = silent) -> list[tuple[str, PSFEvidence]]:
+        """Return the lenses as text, and their evidence, the best first."""
+        from napari_defocus import compare_psf
+
+        settings = self.estimation
+        texts = dict.fromkeys([*COMPARED_PSFS, settings.psf])
+        text_of = {psf_of(text, settings.max_radius): text for text in texts}
+        image = self.plane.read()
+        comparison = compare_psf(
+            image,
+            list(text_of),
+            noise_variance=settings.noise_variance,
+            window=settings.window,
+            linearize=settings.linearize,
+            intensity_range=self.plane.intensity_range(image),
+            progress=progress,
         )
+        return [(text_of[row.psf], row) for row in comparison]

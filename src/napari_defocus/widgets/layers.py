@@ -5,6 +5,7 @@ No Qt here: everything works on a `napari.components.ViewerModel` too.
 
 import weakref
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,17 @@ from napari.utils.transforms import CompositeAffine
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
+from napari_defocus.psf import MeasuredPSF, PSFFamily
 from napari_defocus.settings import MapSettings, MaskSettings
 
 METADATA_KEY = "napari_defocus"
 """Where a result layer's metadata say how it was made."""
 
-RADIUS = "blur radius (px)"
+BLUR_MAP = "blur map"
+CONFIDENCE = "confidence"
+NOT_TRUSTED = "not trusted"
 IN_FOCUS = "in focus"
+MEASURED_PSF = "measured PSF"
 
 MAX_PIXELS = 64_000_000
 """Larger planes are refused: their spectra would fill an ordinary computer's memory."""
@@ -30,6 +35,10 @@ MAX_PIXELS = 64_000_000
 COLOR_MAP = "viridis"
 MASK_COLOR = (0.1, 0.9, 0.6, 1.0)
 MASK_OPACITY = 0.4
+CONFIDENCE_COLOR_MAP = "gray"
+KERNEL_COLOR_MAP = "magma"
+NOT_TRUSTED_COLOR = (0.15, 0.15, 0.15, 1.0)
+NOT_TRUSTED_OPACITY = 0.85
 
 _PLACEMENT = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 
@@ -137,12 +146,15 @@ def shown_plane(layer: Image, dims: Dims) -> Plane:
     """
     # Plugins are lent a proxy; the layer itself is what lives and dies.
     layer = getattr(layer, "__wrapped__", layer)
-    data = _finest(layer)
-    index = _shown_index(layer, dims, data.shape)
+    return plane_at(layer, _shown_index(layer, dims, _finest(layer).shape))
+
+
+def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
+    """Return the plane of an image layer that an index picks."""
     return Plane(
         layer=weakref.ref(layer),
         name=layer.name,
-        data=data,
+        data=_finest(layer),
         index=index,
         placement=_placement(layer, index),
         contrast_limits=_pair(layer.contrast_limits),
@@ -203,6 +215,7 @@ def blur_map_layer(
     blur_map: NDArray[np.floating],
     settings: MapSettings,
     noise_variance: float,
+    psf: PSFFamily | None = None,
 ) -> LayerDataTuple:
     """Return a blur map as an image layer that lies on the plane.
 
@@ -211,9 +224,50 @@ def blur_map_layer(
     plane : Plane
         What the map was estimated from.
     blur_map : (H, W) float ndarray
-        Blur radius in px.
+        Blur scale in px.
     settings : MapSettings
-        What it was estimated with; `max_radius` is the upper end of the colour range.
+        What it was estimated with.
+    noise_variance : float
+        The variance that was used, found or given; intensities in [0, 1].
+    psf : PSFFamily, optional
+        The family of the settings, if it is at hand; its largest scale is the upper end of the
+        colour range.
+
+    Returns
+    -------
+    LayerDataTuple
+    """
+    psf = psf or settings.family()
+    what = "" if psf.scale_name.endswith("radius (px)") else psf.scale_name.removesuffix("(px)")
+    keywords = {
+        "name": f"{plane.name} blur {what}(px)",
+        "colormap": COLOR_MAP,
+        "contrast_limits": (0.0, float(psf.max_scale)),
+        "metadata": _provenance(plane, BLUR_MAP, asdict(settings), noise_variance),
+        **plane.placement,
+    }
+    keywords["metadata"][METADATA_KEY]["scale"] = psf.scale_name
+    return LayerDataTuple((plane.expanded(blur_map), keywords, "image"))
+
+
+def confidence_layer(
+    plane: Plane,
+    confidence: NDArray[np.floating],
+    settings: MapSettings,
+    noise_variance: float,
+) -> LayerDataTuple:
+    """Return the confidence of a blur map as an image layer that lies on the plane.
+
+    It is hidden at first: it would cover the map.
+
+    Parameters
+    ----------
+    plane : Plane
+        What the map was estimated from.
+    confidence : (H, W) float ndarray
+        In [0, 1].
+    settings : MapSettings
+        What the map was estimated with.
     noise_variance : float
         The variance that was used, found or given; intensities in [0, 1].
 
@@ -221,15 +275,44 @@ def blur_map_layer(
     -------
     LayerDataTuple
     """
-    limits = (0.0, float(settings.max_radius))
     keywords = {
-        "name": f"{plane.name} blur (px)",
-        "colormap": COLOR_MAP,
-        "contrast_limits": limits,
-        "metadata": _provenance(plane, RADIUS, asdict(settings), noise_variance),
+        "name": f"{plane.name} confidence",
+        "colormap": CONFIDENCE_COLOR_MAP,
+        "contrast_limits": (0.0, 1.0),
+        "visible": False,
+        "metadata": _provenance(plane, CONFIDENCE, asdict(settings), noise_variance),
         **plane.placement,
     }
-    return LayerDataTuple((plane.expanded(blur_map), keywords, "image"))
+    return LayerDataTuple((plane.expanded(confidence), keywords, "image"))
+
+
+def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> LayerDataTuple:
+    """Return what lies below a confidence as a labels layer: 1 there, 0 elsewhere.
+
+    Parameters
+    ----------
+    confidence : LayerDataTuple
+        From `confidence_layer`, or of the layer that was made of it.
+    min_confidence : float
+        In [0, 1].
+
+    Returns
+    -------
+    LayerDataTuple
+    """
+    data, made_with, _ = confidence
+    made = dict(made_with["metadata"][METADATA_KEY])
+    made |= {"result": NOT_TRUSTED, "min_confidence": min_confidence}
+    keywords = {
+        "name": f"{made['source']} not trusted",
+        "colormap": _one_color(NOT_TRUSTED_COLOR),
+        "opacity": NOT_TRUSTED_OPACITY,
+        "metadata": {METADATA_KEY: made},
+        **{name: made_with[name] for name in _PLACEMENT},
+    }
+    return LayerDataTuple(
+        ((np.asarray(data) < min_confidence).astype(np.uint8), keywords, "labels")
+    )
 
 
 def in_focus_layer(
@@ -260,7 +343,7 @@ def in_focus_layer(
     """
     keywords = {
         "name": f"{plane.name} in focus",
-        "colormap": _mask_colors(),
+        "colormap": _one_color(MASK_COLOR),
         "opacity": MASK_OPACITY,
         "metadata": _provenance(
             plane, IN_FOCUS, {**asdict(estimation), **asdict(settings)}, noise_variance
@@ -270,8 +353,8 @@ def in_focus_layer(
     return LayerDataTuple((plane.expanded(mask), keywords, "labels"))
 
 
-def _mask_colors() -> DirectLabelColormap:
-    colors = DirectLabelColormap(color_dict={None: "transparent", 0: "transparent", 1: MASK_COLOR})
+def _one_color(color: tuple[float, ...]) -> DirectLabelColormap:
+    colors = DirectLabelColormap(color_dict={None: "transparent", 0: "transparent", 1: color})
     # napari compiles this mapping when it is first used: better here, in the worker thread,
     # than in the window's.
     colors.map(np.zeros((1, 1), np.uint8))
@@ -292,10 +375,54 @@ def _provenance(
     }
 
 
-def is_blur_map(layer: Layer) -> bool:
-    """Tell whether a layer is a blur map, and so no picture to analyse."""
+def kernels_layer(lens: MeasuredPSF, file: str, picture: Plane) -> LayerDataTuple:
+    """Return measured kernels as a stack, one plane a setting, brightest pixel 1 in each.
+
+    Parameters
+    ----------
+    lens : MeasuredPSF
+    file : str
+        Where it was saved.
+    picture : Plane
+        One of those that it was measured from, whose pixels are as large.
+
+    Returns
+    -------
+    LayerDataTuple
+        Its metadata have the scales, in px, and the file.
+    """
+    kernels = lens.kernels / lens.kernels.max(axis=(1, 2), keepdims=True)
+    made = {
+        "version": __version__,
+        "result": MEASURED_PSF,
+        "file": file,
+        "scales": lens.scales.tolist(),
+        "provenance": dict(lens.provenance),
+    }
+    keywords = {
+        "name": f"{Path(file).stem} kernels",
+        "colormap": KERNEL_COLOR_MAP,
+        "contrast_limits": (0.0, 1.0),
+        "metadata": {METADATA_KEY: made},
+        "scale": (1.0, *picture.placement["scale"][-2:]),
+        "units": (picture.placement["units"] * 3)[-3:],
+        "axis_labels": ("setting", "y", "x"),
+    }
+    return LayerDataTuple((kernels, keywords, "image"))
+
+
+def made_by_us(layer: Layer) -> str | None:
+    """Return what result a layer holds, None if it is no result of ours."""
     made = layer.metadata.get(METADATA_KEY, {})
-    return isinstance(made, dict) and made.get("result") == RADIUS
+    return made.get("result") if isinstance(made, dict) else None
+
+
+def layer_of_result(layers: LayerList, result: str, source: str) -> Layer | None:
+    """Return the layer that holds a result of the layer named `source`, if there is one."""
+    for layer in layers:
+        if made_by_us(layer) == result and layer.metadata[METADATA_KEY].get("source") == source:
+            return layer
+    return None
 
 
 def show_results(viewer: ViewerModel, results: list[LayerDataTuple]) -> list[Layer]:
@@ -305,7 +432,7 @@ def show_results(viewer: ViewerModel, results: list[LayerDataTuple]) -> list[Lay
     ----------
     viewer : napari.components.ViewerModel or napari.Viewer
     results : list of LayerDataTuple
-        From `blur_map_layer` and `in_focus_layer`.
+        From the functions above.
 
     Returns
     -------
@@ -320,12 +447,13 @@ def _shown_result(viewer: ViewerModel, data: Any, keywords: dict[str, Any], kind
     layer = _earlier_result(viewer.layers, keywords)
     if layer is None:
         layer = viewer.add_layer(Layer.create(data, keywords, kind))
-        if kind == "image":
+        if kind == "image" and keywords["metadata"][METADATA_KEY]["result"] != MEASURED_PSF:
             layer.colorbar.visible = True
         return layer
     layer.data = data
     for name in _PLACEMENT:
-        setattr(layer, name, keywords[name])
+        if name in keywords:
+            setattr(layer, name, keywords[name])
     layer.metadata = {**layer.metadata, **keywords["metadata"]}
     if kind == "image":
         layer.contrast_limits_range = keywords["contrast_limits"]
@@ -337,7 +465,6 @@ def _earlier_result(layers: LayerList, keywords: dict[str, Any]) -> Layer | None
     """Find the layer of that name, unless it is somebody else's work."""
     made = keywords["metadata"][METADATA_KEY]
     for layer in layers:
-        before = layer.metadata.get(METADATA_KEY, {})
-        if layer.name == keywords["name"] and before.get("result") == made["result"]:
+        if layer.name == keywords["name"] and made_by_us(layer) == made["result"]:
             return layer
     return None

@@ -1,32 +1,44 @@
-"""What the three widgets share: choose an image, set, run, watch, cancel."""
+"""What the widgets of the map and the mask share: choose an image and a lens, set, run."""
 
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from magicgui.widgets import ComboBox, Container, Label, ProgressBar, PushButton, Widget
+from magicgui.widgets import ComboBox, Label, PushButton, Widget
 from napari.components import ViewerModel
 from napari.layers import Image
 from napari.types import LayerDataTuple
-from napari.utils.notifications import show_error, show_info, show_warning
+from napari.utils.notifications import show_info, show_warning
 
-from napari_defocus.widgets.analysis import Analysis
+from napari_defocus import PSFEvidence
+from napari_defocus.settings import CONFIDENT
+from napari_defocus.widgets.analysis import Analysis, Comparison
 from napari_defocus.widgets.kept_candidates import KeptCandidates
 from napari_defocus.widgets.layers import (
+    CONFIDENCE,
+    MEASURED_PSF,
     METADATA_KEY,
+    NOT_TRUSTED,
     NotAnalysableError,
-    Plane,
-    is_blur_map,
+    layer_of_result,
+    made_by_us,
+    not_trusted_layer,
     show_results,
     shown_plane,
 )
+from napari_defocus.widgets.run_panel import RunPanel
 from napari_defocus.widgets.settings_form import SettingsForm
-from napari_defocus.widgets.workers import STEPS, Run
+from napari_defocus.widgets.workers import Run
 
 KEPT_CANDIDATES = KeptCandidates()
 """Shared by all widgets: the mask reuses what the map has found."""
 
 
-class DefocusPanel(Container[Widget]):
+LONGEST_NAME = 22
+"""In letters, of a lens in the table; a longer one would make the panel wide."""
+
+
+class DefocusPanel(RunPanel):
     """An analysis of one image layer in a worker thread.
 
     Parameters
@@ -46,46 +58,56 @@ class DefocusPanel(Container[Widget]):
         The image layer to analyse.
     settings : SettingsForm
         The fields below it.
+    compare_button, comparison, best_button : magicgui widgets
+        Start a comparison of lenses, show it, and take the best of it.
     """
 
     def __init__(
         self, napari_viewer: ViewerModel, *, blur_map: bool, mask: bool, action: str
     ) -> None:
-        self._viewer = napari_viewer
+        super().__init__(napari_viewer, action=action)
         self._blur_map = blur_map
-        self._running: Run | None = None
-        self._plane: Plane | None = None
-        self._closed = False
+        self._best = ""
         self.image = ComboBox(
             name="image",
             label="image",
             choices=self._images,
             tooltip="The image layer to analyse. Of a stack, the plane that is shown.",
         )
-        self.settings = SettingsForm(blur_map=blur_map, mask=mask)
-        self.run_button = PushButton(text=action)
-        self.cancel_button = PushButton(text="Cancel", enabled=False)
-        self.progress_bar = ProgressBar(name="progress", label=" ", min=0, max=STEPS, value=0)
-        self.status = Label(name="status", label=" ", value="")
-        super().__init__()
-        # Only rows that come after the container's own making get labels of equal width.
-        self.extend(self._rows())
+        self.settings = SettingsForm(
+            blur_map=blur_map, mask=mask, last_measured=self._last_measured
+        )
+        self.compare_button = PushButton(
+            name="compare",
+            text="Which lens fits?",
+            tooltip="Compare how well several lenses explain the picture, and show the best.",
+        )
+        self.comparison = Label(name="comparison", label=" ", value="")
+        self.best_button = PushButton(name="take_best", text="Take the best")
+        self._finish_form(self._fields())
         self._wire()
 
-    def _rows(self) -> list[Widget]:
-        buttons = Container(
-            widgets=[self.run_button, self.cancel_button], layout="horizontal", labels=False
-        )
-        buttons.label = " "
-        buttons.margins = (0, 0, 0, 0)
-        return [self.image, *self.settings.fields(), buttons, self.progress_bar, self.status]
+    def _fields(self) -> list[Widget]:
+        settings = self.settings
+        return [
+            self.image,
+            *settings.lens.fields(),
+            self.compare_button,
+            self.comparison,
+            self.best_button,
+            *settings.main_fields(),
+            settings.more,
+            *settings.more_fields(),
+        ]
 
     def _wire(self) -> None:
-        self.run_button.clicked.connect(self.run)
-        self.cancel_button.clicked.connect(self.cancel)
-        self.progress_bar.hide()
-        self.status.native.setWordWrap(True)
-        self.native.destroyed.connect(lambda: self._on_closed())
+        self.settings.lens.show_needed()
+        self.settings.show_more(False)
+        self._forget_comparison()
+        self.compare_button.clicked.connect(self.compare)
+        self.best_button.clicked.connect(self.take_best)
+        self.image.changed.connect(lambda _: self._forget_comparison())
+        self.settings.min_confidence.changed.connect(self._on_min_confidence)
         active = self._viewer.layers.selection.active
         if active in self.image.choices:
             self.image.value = active
@@ -94,8 +116,12 @@ class DefocusPanel(Container[Widget]):
         return [
             layer
             for layer in self._viewer.layers
-            if isinstance(layer, Image) and not is_blur_map(layer)
+            if isinstance(layer, Image) and made_by_us(layer) is None
         ]
+
+    def _last_measured(self) -> str:
+        measured = [layer for layer in self._viewer.layers if made_by_us(layer) == MEASURED_PSF]
+        return measured[-1].metadata[METADATA_KEY]["file"] if measured else ""
 
     def analysis(self) -> Analysis:
         """Return what the form asks for now.
@@ -112,6 +138,7 @@ class DefocusPanel(Container[Widget]):
             estimation=self.settings.map_settings(),
             mask=self.settings.mask_settings(),
             blur_map=self._blur_map,
+            confidence=self.settings.confidence.value,
         )
 
     def run(self) -> Run | None:
@@ -122,84 +149,102 @@ class DefocusPanel(Container[Widget]):
         """
         if self._running is not None:
             return self._running
+        analysis = self._asked_for()
+        if analysis is None:
+            return None
+        work = partial(analysis.run, KEPT_CANDIDATES)
+        return self._start(
+            work, self._show_results, [analysis.plane], f"Defocus of {analysis.plane.name}"
+        )
+
+    def compare(self) -> Run | None:
+        """Start a comparison of lenses on the chosen image, and return it, like `run`."""
+        if self._running is not None:
+            return self._running
+        analysis = self._asked_for()
+        if analysis is None:
+            return None
+        plane = analysis.plane
+        comparison = Comparison(plane=plane, estimation=analysis.estimation)
+        return self._start(
+            comparison.run, self._show_comparison, [plane], f"Lenses for {plane.name}"
+        )
+
+    def take_best(self) -> None:
+        """Fill the lens' fields with the best of the comparison."""
+        if self._best:
+            self.settings.lens.take(self._best)
+
+    def _asked_for(self) -> Analysis | None:
+        """Return what the form asks for; None, with a warning, if it cannot be done."""
         if self.image.value is None:
             show_warning("There is no image to analyse. Open an image first.")
             return None
         try:
-            analysis = self.analysis()
+            return self.analysis()
         except NotAnalysableError as reason:
             show_warning(f"Cannot analyse “{self.image.value.name}”: {reason}")
-            return None
         except ValueError as reason:
             show_warning(str(reason))
-            return None
-        return self._start(analysis)
-
-    def cancel(self) -> None:
-        """Stop what runs; nothing is added to the viewer."""
-        if self._running is not None:
-            self._running.cancel()
-            self.status.value = "Cancelling"
-
-    def _start(self, analysis: Analysis) -> Run:
-        plane = analysis.plane
-        run = Run(partial(analysis.run, KEPT_CANDIDATES), f"Defocus of {plane.name}", owner=self)
-        # Functions, not methods: PySide6 mixes up the methods of objects that are not Qt's own
-        # when one is made at the address of another that has gone, and crashes.
-        run.progressed.connect(lambda step, done: self._on_progressed(step, done))
-        run.returned.connect(lambda results: self._on_returned(results))
-        run.refused.connect(lambda reason: self._on_refused(reason))
-        run.finished.connect(lambda: self._on_finished())
-        self._viewer.layers.events.removed.connect(self._on_layer_removed)
-        self._running, self._plane = run, plane
-        self._show_running(True)
-        run.start()
-        return run
+        return None
 
     def _show_running(self, running: bool) -> None:
-        self.run_button.enabled = not running
-        self.cancel_button.enabled = running
-        self.progress_bar.value = 0
-        self.progress_bar.visible = running
-        if running:
-            self.status.value = "Starting"
+        super()._show_running(running)
+        self.compare_button.enabled = not running
 
-    def _on_progressed(self, step: str, done: float) -> None:
-        if not self._closed:
-            self.progress_bar.value = round(STEPS * done)
-            self.status.value = step
-
-    def _on_returned(self, results: list[LayerDataTuple]) -> None:
-        if self._closed or self._plane is None:
-            return
-        if self._plane.is_current(self._viewer.layers):
+    def _show_results(self, results: list[LayerDataTuple]) -> None:
+        [plane] = self._planes
+        if plane.is_current(self._viewer.layers):
             show_results(self._viewer, results)
+            self._on_min_confidence(self.settings.min_confidence.value)
             self.status.value = _summary(results)
-        elif self._plane.layer() in self._viewer.layers:
-            show_info(f"“{self._plane.name}” was changed while it was analysed. Run again.")
+        elif plane.layer() in self._viewer.layers:
+            show_info(f"“{plane.name}” was changed while it was analysed. Run again.")
 
-    def _on_refused(self, reason: str) -> None:
-        if not self._closed and self._plane is not None:
-            show_error(f"Cannot analyse “{self._plane.name}”: {reason}")
+    def _show_comparison(self, rows: list[tuple[str, PSFEvidence]]) -> None:
+        self._best, _ = rows[0]
+        self.comparison.value = _table(rows)
+        self.best_button.text = f"Take the best: {_short(self._best)}"
+        self.comparison.show()
+        self.best_button.show()
+        self.status.value = "The nearer the evidence is to 0, the better the lens fits."
 
-    def _on_finished(self) -> None:
-        self._running = None
-        if self._closed:
+    def _forget_comparison(self) -> None:
+        self._best = ""
+        self.comparison.hide()
+        self.best_button.hide()
+
+    def _on_min_confidence(self, min_confidence: float) -> None:
+        """Cover what is not trusted by the confidence layer of the chosen image, if any."""
+        name = getattr(self.image.value, "name", "")
+        confidence = layer_of_result(self._viewer.layers, CONFIDENCE, name)
+        covered = layer_of_result(self._viewer.layers, NOT_TRUSTED, name)
+        if confidence is None or (covered is None and min_confidence == 0):
             return
-        self._viewer.layers.events.removed.disconnect(self._on_layer_removed)
-        self._show_running(False)
-
-    def _on_layer_removed(self, event: Any) -> None:
-        if self._plane is not None and self._plane.layer() in (None, event.value):
-            self.cancel()
-
-    def _on_closed(self) -> None:
-        self._closed = True
-        if self._running is not None:
-            self._running.cancel()
+        cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
+        show_results(self._viewer, [cover])
 
 
 def _summary(results: list[LayerDataTuple]) -> str:
     made = results[-1][1]["metadata"][METADATA_KEY]
     how = "found" if made["settings"]["noise_variance"] is None else "given"
-    return f"Noise variance {made['noise_variance']:.1e} ({how})"
+    lines = [f"Noise variance {made['noise_variance']:.1e} ({how})"]
+    for data, keywords, _ in results:
+        if keywords["metadata"][METADATA_KEY]["result"] == CONFIDENCE:
+            lines.append(f"Confidence {CONFIDENT:g} or more on {(data >= CONFIDENT).mean():.0%}")
+    return "\n".join(lines)
+
+
+def _short(lens: str) -> str:
+    """Return a lens' text, and of a file's path the beginning of its name."""
+    name = Path(lens).name
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
+
+
+def _table(rows: list[tuple[str, PSFEvidence]]) -> str:
+    lines = ["<tr><th align='left'>lens</th><th>evidence</th><th align='right'>median</th></tr>"]
+    for text, row in rows:
+        cells = f"{row.log_evidence:.2f}", f"{row.median_scale:.1f} px"
+        numbers = "".join(f"<td align='right'>&nbsp;&nbsp;{cell}</td>" for cell in cells)
+        lines.append(f"<tr><td>{_short(text)}</td>{numbers}</tr>")
+    return f"<table>{''.join(lines)}</table>"

@@ -8,7 +8,7 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.layers import COLOR_MAP, METADATA_KEY, RADIUS
+from napari_defocus.widgets.layers import BLUR_MAP, COLOR_MAP, METADATA_KEY
 
 RAMP_SHAPE = (300, 300)
 RAMP_NOISE_VARIANCE = 1e-6
@@ -61,7 +61,7 @@ def _true_map_keywords() -> dict[str, Any]:
         "name": "simulated ramp true blur (px)",
         "colormap": COLOR_MAP,
         "contrast_limits": (0.0, MapSettings.max_radius),
-        "metadata": {METADATA_KEY: {"result": RADIUS, "noise_variance": RAMP_NOISE_VARIANCE}},
+        "metadata": {METADATA_KEY: {"result": BLUR_MAP, "noise_variance": RAMP_NOISE_VARIANCE}},
     }
 
 

@@ -1,10 +1,15 @@
 """The settings as a form: every default is read from the settings classes."""
 
-from magicgui.widgets import FloatSpinBox, LineEdit, Widget
+from collections.abc import Callable
+
+from magicgui.widgets import CheckBox, FloatSpinBox, LineEdit, PushButton, Widget
 
 from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.lens_form import LensForm
 
 AUTOMATIC = "automatic"
+
+_MORE = "{} More settings"
 
 _SMOOTHNESS = (
     "How strongly neighbouring pixels are drawn to the same {what}. Higher gives larger, "
@@ -26,36 +31,81 @@ class SettingsForm:
         Whether a blur map is made, and its fields are shown.
     mask : bool
         Whether a mask is made, and its fields are shown.
+    last_measured : callable
+        See `LensForm`.
 
     Attributes
     ----------
-    max_radius, noise_variance : magicgui widgets
+    lens : LensForm
+    max_radius, noise_variance, shot_noise, linear_light : magicgui widgets
         What the radii are estimated with.
     map_smoothness, map_color_sigma : magicgui widgets
         What the blur map is labelled with.
+    confidence, min_confidence : magicgui widgets
+        Whether the confidence is shown, and below which the map is covered.
     threshold, mask_smoothness, mask_color_sigma : magicgui widgets
         What the mask is segmented with.
+    more : magicgui.widgets.PushButton
+        Shows and hides the fields that few people need.
     """
 
-    def __init__(self, *, blur_map: bool, mask: bool) -> None:
+    def __init__(self, *, blur_map: bool, mask: bool, last_measured: Callable[[], str]) -> None:
         self._blur_map = blur_map
         self._mask = mask
+        self.lens = LensForm(last_measured)
         self.max_radius = _max_radius_field()
         self.noise_variance = _noise_variance_field()
+        self.shot_noise = _shot_noise_field()
+        self.linear_light = _linear_light_field()
         self.map_smoothness = _smoothness_field("map", "radius", MapSettings.smoothness)
         self.map_color_sigma = _color_sigma_field("map", "radius", MapSettings.color_sigma)
+        self.confidence = _confidence_field()
+        self.min_confidence = _min_confidence_field()
         self.threshold = _threshold_field()
         self.mask_smoothness = _smoothness_field("mask", "answer", MaskSettings.smoothness)
         self.mask_color_sigma = _color_sigma_field("mask", "answer", MaskSettings.color_sigma)
+        self.more = PushButton(name="more", text=_MORE.format("▸"))
+        self._more_shown = False
+        self._usual_threshold = MaskSettings.threshold
+        self.lens.lens.changed.connect(lambda _: self._follow_lens())
+        self.more.changed.connect(lambda _: self.show_more(not self._more_shown))
+        self.shot_noise.changed.connect(lambda on: _enable(self.noise_variance, not on))
+        self.confidence.changed.connect(lambda on: _enable(self.min_confidence, on))
 
     def fields(self) -> list[Widget]:
-        """Return the fields that are shown, from top to bottom."""
-        shown: list[Widget] = [self.max_radius, self.noise_variance]
-        if self._blur_map:
-            shown += [self.map_smoothness, self.map_color_sigma]
+        """Return the fields of these settings, from top to bottom."""
+        return [*self.lens.fields(), *self.main_fields(), *self.more_fields()]
+
+    def main_fields(self) -> list[Widget]:
+        """Return the fields below the lens' that are always shown."""
+        shown: list[Widget] = [self.max_radius]
         if self._mask:
-            shown += [self.threshold, self.mask_smoothness, self.mask_color_sigma]
+            shown.append(self.threshold)
+        if self._blur_map:
+            shown += [self.confidence, self.min_confidence]
         return shown
+
+    def more_fields(self) -> list[Widget]:
+        """Return the fields that few people need."""
+        fields: list[Widget] = [self.noise_variance, self.shot_noise, self.linear_light]
+        if self._blur_map:
+            fields += [self.map_smoothness, self.map_color_sigma]
+        if self._mask:
+            fields += [self.mask_smoothness, self.mask_color_sigma]
+        return fields
+
+    def show_more(self, shown: bool) -> None:
+        """Show or hide the fields that few people need; only once they are in a form."""
+        self._more_shown = shown
+        self.more.text = _MORE.format("▾" if shown else "▸")
+        for field in self.more_fields():
+            field.visible = shown
+
+    def _follow_lens(self) -> None:
+        """Keep the threshold at its default, if it was, where the lens has another scale."""
+        before, self._usual_threshold = self._usual_threshold, self.lens.usual_threshold()
+        if self.threshold.value == before:
+            self.threshold.value = self._usual_threshold
 
     def map_settings(self) -> MapSettings:
         """Return what the fields say about the estimation and the map.
@@ -63,11 +113,15 @@ class SettingsForm:
         Raises
         ------
         ValueError
-            If the noise variance is no number.
+            If the noise variance is no number, or the lens' file is missing.
         """
+        given = "" if self.shot_noise.value else self.noise_variance.value
         return MapSettings(
+            psf=self.lens.text(),
             max_radius=self.max_radius.value,
-            noise_variance=_number_or_none(self.noise_variance.value),
+            noise_variance=_number_or_none(given),
+            shot_noise=self.shot_noise.value,
+            linearize="srgb" if self.linear_light.value else None,
             smoothness=self.map_smoothness.value,
             color_sigma=self.map_color_sigma.value,
         )
@@ -92,7 +146,9 @@ def _max_radius_field() -> FloatSpinBox:
         max=20.0,
         step=0.5,
         tooltip="The widest blur that is looked for, as the radius of the disc that a point "
-        "becomes, in pixels of this picture. It is also the upper end of the map's colours.",
+        "becomes, in pixels of this picture. It is also the upper end of the map's colours. "
+        "A disc of radius r is as wide as a Gaussian of standard deviation r / 2: Gaussians "
+        "are looked for up to half of it.",
     )
 
 
@@ -109,6 +165,49 @@ def _noise_variance_field() -> LineEdit:
     return field
 
 
+def _shot_noise_field() -> CheckBox:
+    return CheckBox(
+        name="shot_noise",
+        text="noise grows with intensity",
+        value=MapSettings.shot_noise,
+        tooltip="For pictures from few photons, such as raw or microscope pictures: bright "
+        "places have more noise than dark ones. How much is found from the picture.",
+    )
+
+
+def _linear_light_field() -> CheckBox:
+    return CheckBox(
+        name="linear_light",
+        text="linear light (sRGB)",
+        value=MapSettings.linearize == "srgb",
+        tooltip="For photographs that a camera made for screens (JPEG, PNG): undo their sRGB "
+        "encoding first, as blur mixes light. Leave it off for raw and scientific pictures.",
+    )
+
+
+def _confidence_field() -> CheckBox:
+    return CheckBox(
+        name="confidence",
+        text="confidence layer",
+        value=True,
+        tooltip="Add a layer that says how sure the blur map is at every pixel, from 0 to 1: "
+        "the probability that it is right to half a pixel. It is hidden at first.",
+    )
+
+
+def _min_confidence_field() -> FloatSpinBox:
+    return FloatSpinBox(
+        name="min_confidence",
+        label="hide below confidence",
+        value=0.0,
+        min=0.0,
+        max=1.0,
+        step=0.05,
+        tooltip="Cover the pixels of the map that are less sure than this in dark grey, with a "
+        "labels layer that can be used as a mask. Changing it does not analyse again.",
+    )
+
+
 def _threshold_field() -> FloatSpinBox:
     return FloatSpinBox(
         name="threshold",
@@ -117,7 +216,8 @@ def _threshold_field() -> FloatSpinBox:
         min=0.0,
         max=20.0,
         step=0.1,
-        tooltip="The widest blur that still counts as in focus: its radius in pixels. "
+        tooltip="The widest blur that still counts as in focus: its radius in pixels, or "
+        "its standard deviation for a Gaussian, as the map shows it. "
         "Changing it does not analyse the picture again.",
     )
 
@@ -157,3 +257,7 @@ def _number_or_none(text: str) -> float | None:
             f"The noise variance is “{text}”. Type a number such as 1e-5, "
             f"or leave it empty to have it found from the picture."
         ) from None
+
+
+def _enable(field: Widget, enabled: bool) -> None:
+    field.enabled = enabled

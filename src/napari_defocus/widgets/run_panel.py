@@ -1,0 +1,141 @@
+"""What all widgets that work in a thread share: run, watch, cancel."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from magicgui.widgets import Container, Label, ProgressBar, PushButton, Widget
+from napari.components import ViewerModel
+from napari.utils.notifications import show_error
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QLabel, QSizePolicy, QWidget
+
+from napari_defocus.progress import Progress
+from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.workers import STEPS, Run
+
+LABEL_PADDING = 16
+
+
+class RunPanel(Container[Widget]):
+    """A form whose work is done in a worker thread, one piece at a time.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer or napari.components.ViewerModel
+        Where the images come from and the results go.
+    action : str
+        What the run button says.
+
+    Attributes
+    ----------
+    run_button, cancel_button, progress_bar, status : magicgui widgets
+    """
+
+    def __init__(self, napari_viewer: ViewerModel, *, action: str) -> None:
+        self._viewer = napari_viewer
+        self._running: Run | None = None
+        self._planes: Sequence[Plane] = ()
+        self._closed = False
+        self.run_button = PushButton(text=action)
+        self.cancel_button = PushButton(text="Cancel", enabled=False)
+        self.progress_bar = ProgressBar(name="progress", label=" ", min=0, max=STEPS, value=0)
+        self.status = Label(name="status", label=" ", value="")
+        super().__init__()
+
+    def _finish_form(self, fields: list[Widget]) -> None:
+        """Put the fields into the form, and what runs them below."""
+        buttons = Container(
+            widgets=[self.run_button, self.cancel_button], layout="horizontal", labels=False
+        )
+        buttons.label = " "
+        buttons.margins = (0, 0, 0, 0)
+        # Only rows that come after the container's own making get labels of equal width.
+        self.extend([*fields, buttons, self.progress_bar, self.status])
+        self.run_button.clicked.connect(self.run)
+        self.cancel_button.clicked.connect(self.cancel)
+        self.progress_bar.hide()
+        wrap(self.status)
+        self._widen_labels()
+        self.native.destroyed.connect(lambda: self._on_closed())
+
+    def _widen_labels(self) -> None:
+        """Make room for the padding of napari's style, which magicgui does not measure."""
+        for row in self.native.findChildren(QWidget, options=Qt.FindDirectChildrenOnly):
+            label = row.layout().itemAt(0).widget() if row.layout() else None
+            if isinstance(label, QLabel):
+                label.setMinimumWidth(label.minimumWidth() + LABEL_PADDING)
+
+    def run(self) -> Run | None:
+        """Start the work, and return it; None if there is nothing to work on."""
+        raise NotImplementedError
+
+    def cancel(self) -> None:
+        """Stop what runs; nothing is added to the viewer."""
+        if self._running is not None:
+            self._running.cancel()
+            self.status.value = "Cancelling"
+
+    def _start(
+        self,
+        work: Callable[[Progress], Any],
+        take: Callable[[Any], None],
+        planes: Sequence[Plane],
+        description: str,
+    ) -> Run:
+        """Start `work` on planes; `take` gets its value, in the main thread."""
+        run = Run(work, description, owner=self)
+        # Functions, not methods: PySide6 mixes up the methods of objects that are not Qt's own
+        # when one is made at the address of another that has gone, and crashes.
+        run.progressed.connect(lambda step, done: self._on_progressed(step, done))
+        run.returned.connect(lambda value: self._on_returned(take, value))
+        run.refused.connect(lambda reason: self._on_refused(reason))
+        run.finished.connect(lambda: self._on_finished())
+        self._viewer.layers.events.removed.connect(self._on_layer_removed)
+        self._running, self._planes = run, planes
+        self._show_running(True)
+        run.start()
+        return run
+
+    def _show_running(self, running: bool) -> None:
+        self.run_button.enabled = not running
+        self.cancel_button.enabled = running
+        self.progress_bar.value = 0
+        self.progress_bar.visible = running
+        if running:
+            self.status.value = "Starting"
+
+    def _on_progressed(self, step: str, done: float) -> None:
+        if not self._closed:
+            self.progress_bar.value = round(STEPS * done)
+            self.status.value = step
+
+    def _on_returned(self, take: Callable[[Any], None], value: Any) -> None:
+        if not self._closed:
+            take(value)
+
+    def _on_refused(self, reason: str) -> None:
+        if not self._closed and self._planes:
+            show_error(f"Cannot analyse “{self._planes[0].name}”: {reason}")
+
+    def _on_finished(self) -> None:
+        self._running = None
+        if self._closed:
+            return
+        self._viewer.layers.events.removed.disconnect(self._on_layer_removed)
+        self._show_running(False)
+
+    def _on_layer_removed(self, event: Any) -> None:
+        if any(plane.layer() in (None, event.value) for plane in self._planes):
+            self.cancel()
+
+    def _on_closed(self) -> None:
+        self._closed = True
+        if self._running is not None:
+            self._running.cancel()
+
+
+def wrap(label: Label) -> None:
+    """Let a text use the width that there is, from the left, in several lines."""
+    label.native.setWordWrap(True)
+    label.native.setAlignment(Qt.AlignLeft | Qt.AlignVCenter)
+    label.native.setSizePolicy(QSizePolicy.Expanding, QSizePolicy.Preferred)

@@ -1,0 +1,50 @@
+import pytest
+
+from napari_defocus import psf_from_text
+from napari_defocus.widgets.lens_form import LENSES, MEASURED, LensForm
+
+pytestmark = pytest.mark.display
+
+
+@pytest.fixture
+def form(qapp):
+    return LensForm(lambda: "")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("disc", "disc"),
+        ("polygon:5:-30", "polygon:5:-30"),
+        ("polygon:7", "polygon:7:0"),
+        ("annulus:0.35", "annulus:0.35"),
+        ("annulus", "annulus:0.5"),
+        ("gaussian", "gaussian"),
+        ("generalized-gaussian:1.5", "generalized-gaussian:1.5"),
+        ("/lenses/mine.npz", "/lenses/mine.npz"),
+    ],
+)
+def test_what_is_taken_is_told(form, text, told):
+    form.take("polygon:9:15")
+    form.take("annulus:0.9")
+    form.take(text)
+    assert form.text() == told
+
+
+@pytest.mark.parametrize("name", sorted(set(LENSES) - {MEASURED}))
+def test_every_lens_starts_with_the_defaults_of_its_family(form, name):
+    form.lens.value = name
+    assert psf_from_text(form.text()) == psf_from_text(name)
+
+
+def test_lens_that_was_measured_last_is_filled_in(qapp):
+    form = LensForm(lambda: "/lenses/last.npz")
+    assert form.text() == "disc"
+    form.lens.value = MEASURED
+    assert form.text() == "/lenses/last.npz"
+
+
+def test_measured_lens_needs_a_file(form):
+    form.lens.value = MEASURED
+    with pytest.raises(ValueError, match="Choose the file"):
+        form.text()
