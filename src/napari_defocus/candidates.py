@@ -40,7 +40,7 @@ Float64 = NDArray[np.floating]
 Search = Literal["lattice", "fixed-point"]
 
 CANDIDATES = 3
-_WINDOWS_A_BLOCK = 4096
+_WINDOWS_A_BLOCK = 32768
 _LEAST_ROWS = 12
 _LEAST_OPAQUE = 0.05
 _TINY = 1e-12
@@ -233,12 +233,12 @@ def estimate_candidates(
         relative = shot_noise.variance_at(picture.luminance) / max(noise_variance, _TINY)
         noisier = _mean_over_windows(relative, grid, gradient.pad, window)
     scales = label_scales(psf)
-    shape = (len(grid.rows), len(grid.columns))
+    shape = (len(grid.row_of_window), len(grid.column_of_window))
     radii = np.empty((*shape, CANDIDATES), np.float32)
     log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
     curve = np.empty((*shape, len(scales)), np.float32)
     for block in grid.blocks():
-        progress("Estimating blur", 0.1 + 0.9 * block.start / shape[0])
+        progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
         power = local_power(gradient, grid.rows[block], grid.columns, window)
         if opaque is not None:
             power /= np.maximum(opaque[block], _LEAST_OPAQUE)[..., None, None]
@@ -258,17 +258,19 @@ def estimate_candidates(
             block_radii, block_heights = fixed_point_maxima(
                 points, table, noise_variance, dispersion
             )
-        curve[block] = block_curve.reshape(curve[block].shape)
-        radii[block] = block_radii.reshape(radii[block].shape)
-        log_likelihoods[block] = block_heights.reshape(radii[block].shape)
-    if opaque is not None:
-        _silence_transparent(opaque, radii, log_likelihoods, curve)
+        if opaque is not None:
+            _silence_transparent(opaque[block].ravel(), block_radii, block_heights, block_curve)
+        for result, values in (
+            (radii, block_radii),
+            (log_likelihoods, block_heights),
+            (curve, block_curve),
+        ):
+            grid.spread(block, values, result)
     progress("Estimating blur", 1.0)
-    spread = np.ix_(grid.row_of_window, grid.column_of_window)
     return BlurCandidates(
-        radii[spread],
-        log_likelihoods[spread],
-        curve[spread],
+        radii,
+        log_likelihoods,
+        curve,
         scales,
         window_centers(picture.shape[0], stride),
         window_centers(picture.shape[1], stride),
@@ -335,6 +337,13 @@ class _AnalysisGrid:
             np.bincount(window)[window] for window in (self.row_of_window, self.column_of_window)
         )
         return np.multiply.outer(rows, columns)
+
+    def spread(self, block: slice, values: Float32, result: Float32) -> None:
+        """Write what the windows of a block of rows say, (P, n), to all that they stand for."""
+        first, stop = np.searchsorted(self.row_of_window, (block.start, block.stop))
+        of_rows = values.reshape(-1, len(self.columns), values.shape[1])
+        place = np.ix_(self.row_of_window[first:stop] - block.start, self.column_of_window)
+        result[first:stop] = of_rows[place]
 
     def blocks(self) -> Iterator[slice]:
         """Cut the rows into blocks: large enough to share their lines, small enough to report."""
