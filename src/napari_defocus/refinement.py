@@ -38,7 +38,7 @@ _REACH = 6
 _TEMPER = 0.6
 _LEAST_VARIANCE = 0.02**2
 _ROUNDS = 3
-_TILE = 160
+_TILE = 256
 _OVERLAP = 80
 """px; what is farther away has no influence."""
 
