@@ -7,7 +7,8 @@ import pytest
 
 from napari_defocus import Cancelled, Disc, estimate_candidates, simulate_defocus
 from napari_defocus.calibration import calibrate_psf, disc_radius
-from napari_defocus.psf import Annulus, Gaussian, MeasuredPSF, Polygon
+from napari_defocus.measured_psf import MeasuredPSF
+from napari_defocus.psf import Annulus, Gaussian, Polygon
 
 LENS = Polygon(5, rotation=10.0)
 

@@ -7,17 +7,16 @@ import pytest
 from scipy.signal import convolve
 
 from napari_defocus import Disc, PSFFamily
+from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.psf import (
     Annulus,
     Gaussian,
     GeneralizedGaussian,
     KernelFunction,
-    MeasuredPSF,
     Polygon,
     as_family,
-    psf_from_text,
-    psf_text,
 )
+from napari_defocus.psf_text import psf_from_text, psf_text
 
 RADII = [0.0, 0.3, 0.5, 0.51, 0.7, 1.0, 1.5, 2.37, 3.0, 4.5, 6.66, 8.0]
 

@@ -7,7 +7,8 @@ from scipy.signal import fftconvolve
 
 from napari_defocus import Disc
 from napari_defocus.gabor import frequencies, gradients, local_power
-from napari_defocus.psf import Annulus, Gaussian, KernelFunction, MeasuredPSF, Polygon
+from napari_defocus.measured_psf import MeasuredPSF
+from napari_defocus.psf import Annulus, Gaussian, KernelFunction, Polygon
 from napari_defocus.spectrum import (
     check_windows,
     fit_log_spectra,

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from napari_defocus.confidence import confidence_map
     from napari_defocus.labeling import estimate_blur_map, label_blur_map
     from napari_defocus.layered import simulate_layered_defocus
+    from napari_defocus.measured_psf import MeasuredPSF
     from napari_defocus.noise import ShotNoise, estimate_noise_variance, estimate_shot_noise
     from napari_defocus.progress import Cancelled
     from napari_defocus.psf import (
@@ -22,11 +23,10 @@ if TYPE_CHECKING:
         Gaussian,
         GeneralizedGaussian,
         KernelFunction,
-        MeasuredPSF,
         Polygon,
         PSFFamily,
-        psf_from_text,
     )
+    from napari_defocus.psf_text import psf_from_text
     from napari_defocus.segmentation import segment_in_focus
     from napari_defocus.simulation import simulate_defocus
     from napari_defocus.spectrum import FitReport, fit_report
@@ -42,7 +42,7 @@ _HOME_OF = {
     "Gaussian": "psf",
     "GeneralizedGaussian": "psf",
     "KernelFunction": "psf",
-    "MeasuredPSF": "psf",
+    "MeasuredPSF": "measured_psf",
     "PSFComparison": "comparison",
     "PSFEvidence": "comparison",
     "PSFFamily": "psf",
@@ -57,7 +57,7 @@ _HOME_OF = {
     "estimate_shot_noise": "noise",
     "fit_report": "spectrum",
     "label_blur_map": "labeling",
-    "psf_from_text": "psf",
+    "psf_from_text": "psf_text",
     "segment_in_focus": "segmentation",
     "simulate_defocus": "simulation",
     "simulate_layered_defocus": "layered",

@@ -21,8 +21,9 @@ from scipy.signal import correlate
 
 import napari_defocus
 from napari_defocus.image import prepare_image
+from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.progress import Progress, silent
-from napari_defocus.psf import Disc, MeasuredPSF
+from napari_defocus.psf import Disc
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -13,7 +13,8 @@ from napari_defocus.image import prepare_image
 from napari_defocus.likelihood import profile_log_likelihood
 from napari_defocus.noise import noise_variance_of
 from napari_defocus.progress import Progress, silent
-from napari_defocus.psf import PSFFamily, psf_text
+from napari_defocus.psf import PSFFamily
+from napari_defocus.psf_text import psf_text
 from napari_defocus.settings import Linearize, MapSettings, check_noise_variance
 from napari_defocus.spectrum import check_windows, label_scales, spectrum_table
 

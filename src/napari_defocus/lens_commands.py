@@ -27,7 +27,7 @@ from napari_defocus.progress import Progress
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, psf_of
 
 if TYPE_CHECKING:
-    from napari_defocus.psf import MeasuredPSF
+    from napari_defocus.measured_psf import MeasuredPSF
 
 
 def calibrate(

@@ -8,25 +8,17 @@ scales have the same likelihood.
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
 import math
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral, Real
-from os import PathLike
-from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, make_interp_spline
-from scipy.signal import convolve
 from scipy.special import erf, gammaincinv, gammaln
 
-import napari_defocus
 from napari_defocus.settings import MapSettings
 
 Float64 = NDArray[np.floating]
@@ -34,10 +26,7 @@ Float64 = NDArray[np.floating]
 _GAUSSIAN_CUT = 4.0
 _TAIL = 1e-4
 _NODES = 128
-_SMALLEST_RATIO = 1e-3
-_INVISIBLE = 1e-6
 _ROUNDING = 1e-9
-_FORMAT = "napari-defocus measured PSF, 1"
 
 
 @runtime_checkable
@@ -88,7 +77,7 @@ class Disc:
     scale_name: ClassVar[str] = "radius (px)"
 
     def __post_init__(self) -> None:
-        _check_largest("max_radius", self.max_radius)
+        check_largest("max_radius", self.max_radius)
 
     @property
     def max_scale(self) -> float:
@@ -97,7 +86,7 @@ class Disc:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the area-coverage disc of radius `scale` (px), normalised to sum 1."""
-        return _from_quadrant(_disc_area(_corners(scale), max(scale, 0.5)))
+        return _from_quadrant(_disc_area(corners_to(scale), max(scale, 0.5)))
 
 
 @dataclass(frozen=True)
@@ -127,10 +116,10 @@ class Annulus:
     scale_name: ClassVar[str] = "outer radius (px)"
 
     def __post_init__(self) -> None:
-        _check_number(
+        check_number(
             "obstruction", self.obstruction, lambda o: 0 <= o < 1, "a number from 0 to below 1"
         )
-        _check_largest("max_radius", self.max_radius)
+        check_largest("max_radius", self.max_radius)
 
     @property
     def max_scale(self) -> float:
@@ -140,9 +129,9 @@ class Annulus:
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the area-coverage ring of outer radius `scale` (px), normalised to sum 1."""
         outer = max(scale, 0.5)
-        area = _disc_area(_corners(outer), outer)
+        area = _disc_area(corners_to(outer), outer)
         if self.obstruction > 0:
-            area -= _disc_area(_corners(outer), self.obstruction * outer)
+            area -= _disc_area(corners_to(outer), self.obstruction * outer)
         return _from_quadrant(area)
 
 
@@ -187,9 +176,9 @@ class Polygon:
     scale_name: ClassVar[str] = "equal-area radius (px)"
 
     def __post_init__(self) -> None:
-        _check_number("blades", self.blades, lambda n: n >= 3, "a whole number from 3 up", Integral)
-        _check_number("rotation", self.rotation, math.isfinite, "a finite number of degrees")
-        _check_largest("max_radius", self.max_radius)
+        check_number("blades", self.blades, lambda n: n >= 3, "a whole number from 3 up", Integral)
+        check_number("rotation", self.rotation, math.isfinite, "a finite number of degrees")
+        check_largest("max_radius", self.max_radius)
 
     @property
     def max_scale(self) -> float:
@@ -203,10 +192,10 @@ class Polygon:
         if radius <= 0.5:
             return np.ones((1, 1))
         angle = np.deg2rad(self.rotation) + turn * np.arange(self.blades)
-        half = _corners(radius)
+        half = corners_to(radius)
         corners = np.concatenate([-half[::-1], half])
         below = _polygon_area_below(-radius * np.sin(angle), radius * np.cos(angle), corners)
-        return _from_cumulative(below)
+        return from_cumulative(below)
 
 
 @dataclass(frozen=True)
@@ -237,7 +226,7 @@ class Gaussian:
     scale_name: ClassVar[str] = "standard deviation (px)"
 
     def __post_init__(self) -> None:
-        _check_largest("max_sigma", self.max_sigma)
+        check_largest("max_sigma", self.max_sigma)
 
     @property
     def max_scale(self) -> float:
@@ -247,7 +236,7 @@ class Gaussian:
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the Gaussian of sigma `scale` (px), integrated over pixels, sum 1."""
         reach = _GAUSSIAN_CUT * scale
-        half = np.minimum(_corners(reach), reach) if reach > 0.5 else np.ones(1)
+        half = np.minimum(corners_to(reach), reach) if reach > 0.5 else np.ones(1)
         below = erf(np.concatenate([-half[::-1], half]) / (np.sqrt(2) * max(scale, 0.1)))
         profile = np.diff(below) / (below[-1] - below[0])
         return np.multiply.outer(profile, profile)
@@ -288,8 +277,8 @@ class GeneralizedGaussian:
     scale_name: ClassVar[str] = "standard deviation (px)"
 
     def __post_init__(self) -> None:
-        _check_number("exponent", self.exponent, lambda e: e >= 1, "a number from 1 up")
-        _check_largest("max_sigma", self.max_sigma)
+        check_number("exponent", self.exponent, lambda e: e >= 1, "a number from 1 up")
+        check_largest("max_sigma", self.max_sigma)
 
     @property
     def max_scale(self) -> float:
@@ -302,7 +291,7 @@ class GeneralizedGaussian:
         radii = radii * scale
         if radii[-1] <= 0.5:
             return np.ones((1, 1))
-        areas = _disc_area(_corners(radii[-1]), radii[:, None, None])
+        areas = _disc_area(corners_to(radii[-1]), radii[:, None, None])
         return _from_quadrant(np.tensordot(weights / radii**2, areas, 1))
 
     @cached_property
@@ -356,225 +345,15 @@ class KernelFunction:
     def __post_init__(self) -> None:
         if not (callable(self.function) and isinstance(self.function, Hashable)):
             raise TypeError(f"function is {self.function!r}; it takes a function of the scale")
-        _check_largest("max_scale", self.max_scale)
+        check_largest("max_scale", self.max_scale)
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return what the function gives at `scale` (px), normalised to sum 1."""
         if scale <= 0:
             return np.ones((1, 1))
-        return _checked_kernels(
+        return checked_kernels(
             self.function(scale), 2, f"function returned at {scale:g} px", "a kernel"
         )
-
-
-@dataclass(frozen=True, init=False, eq=False, repr=False)
-class MeasuredPSF:
-    """A family from kernels that were measured at some scales, as `calibrate_psf` makes it.
-
-    A lens' PSF is its aperture, scaled, and the largest kernel shows the aperture best: it is
-    scaled down to every scale. What a smaller measured kernel has beyond the larger ones scaled
-    down is scaled too and added, in full below its scale, fading linearly towards the next
-    larger one. So the measured kernels come out as they went in. Below the smallest the kernel
-    shrinks to a point; above the largest it grows.
-
-    A kernel measured at scale 0 is what the lens does in focus. It cannot shrink: below the
-    smallest of the others it is put in again, convolved, as they shrink.
-
-    Kernels are scaled by cubic splines through their cumulative sums, which are known at the
-    corners of the pixels.
-
-    Parameters
-    ----------
-    scales : (M,) array_like
-        Increasing, from 0 px up.
-    kernels : (M, K, K) array_like
-        One for each scale; K odd, finite, non-negative, centred.
-    max_scale : float, optional
-        Largest scale that is looked for, in px; the largest measured one by default.
-    provenance : mapping, optional
-        What the kernels were made from, as JSON can hold it. It does not matter for equality.
-
-    Attributes
-    ----------
-    scales : (M,) float64 ndarray
-    kernels : (M, K, K) float64 ndarray
-        Each of sum 1.
-    max_scale : float
-    provenance : dict
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is not as described, or `max_scale` below 1 px.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> kernels = [np.pad(Disc().kernel(r), 4 - r) for r in (1, 2, 4)]
-    >>> lens = MeasuredPSF([1, 2, 4], kernels)
-    >>> np.allclose(lens.kernel(2.0), Disc().kernel(2.0))
-    True
-    >>> lens.kernel(1.5)[3:6, 3:6].round(2)
-    array([[0.08, 0.13, 0.08],
-           [0.13, 0.14, 0.13],
-           [0.08, 0.13, 0.08]])
-    >>> Disc().kernel(1.5).round(2)
-    array([[0.08, 0.14, 0.08],
-           [0.14, 0.14, 0.14],
-           [0.08, 0.14, 0.08]])
-    """
-
-    scales: NDArray[np.float64]
-    kernels: NDArray[np.float64]
-    max_scale: float
-    provenance: Mapping[str, Any]
-    scale_name: ClassVar[str] = "scale (px)"
-
-    def __init__(
-        self,
-        scales: ArrayLike,
-        kernels: ArrayLike,
-        *,
-        max_scale: float | None = None,
-        provenance: Mapping[str, Any] | None = None,
-    ) -> None:
-        checked_scales = _checked_scales(scales)
-        stack = _checked_kernels(kernels, 3, "kernels hold", "one kernel a scale")
-        if len(stack) != len(checked_scales):
-            raise ValueError(
-                f"kernels hold {len(stack)} kernels; it takes one for each of "
-                f"{len(checked_scales)} scales"
-            )
-        largest = float(checked_scales[-1]) if max_scale is None else max_scale
-        _check_largest("max_scale", largest)
-        for array in (checked_scales, stack):
-            array.setflags(write=False)
-        object.__setattr__(self, "scales", checked_scales)
-        object.__setattr__(self, "kernels", stack)
-        object.__setattr__(self, "max_scale", largest)
-        object.__setattr__(self, "provenance", _checked_provenance(provenance or {}))
-
-    def kernel(self, scale: float) -> NDArray[np.float64]:
-        """Return the kernel at `scale` (px), between those that were measured; sum 1."""
-        first = self._first_aperture
-        above = int(np.clip(np.searchsorted(self.scales, scale), first, len(self.scales) - 1))
-        kernel = self._sum_scaled(self._details[above:], scale)
-        if above > first and scale < self.scales[above]:
-            below = self.scales[above - 1]
-            share = (self.scales[above] - scale) / (self.scales[above] - below)
-            kernel += share * self._scaled(self._details[above - 1], scale / below, scale)
-        kernel = np.maximum(kernel, 0)
-        if above == first == 1:
-            # As much of the variance in focus as is lost when the kernel shrinks.
-            lost = max(1 - (scale / self.scales[1]) ** 2, 0.0)
-            focus = lost * _trimmed(self.kernels[0])
-            focus[len(focus) // 2, len(focus) // 2] += 1 - lost
-            kernel = convolve(kernel, focus, method="direct")
-        return _trimmed(kernel)
-
-    @property
-    def _first_aperture(self) -> int:
-        return int(self.scales[0] == 0)
-
-    @cached_property
-    def _details(self) -> NDArray[np.float64]:
-        """What each kernel has beyond the larger ones scaled down; the last has all: (M, K, K)."""
-        details = self.kernels.copy()
-        for index in range(len(details) - 2, self._first_aperture - 1, -1):
-            details[index] -= self._sum_scaled(details[index + 1 :], self.scales[index])
-        return details
-
-    def _sum_scaled(self, details: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
-        """Scale the details of the largest measured scales to another one and add them up."""
-        measured = self.scales[-len(details) :]
-        parts = zip(details, scale / measured, strict=True)
-        return np.sum([self._scaled(detail, ratio, scale) for detail, ratio in parts], axis=0)
-
-    def _scaled(
-        self, detail: NDArray[np.float64], ratio: float, scale: float
-    ) -> NDArray[np.float64]:
-        """Scale a kernel, whose sum stays, in a frame that is large enough for a scale."""
-        half = len(detail) / 2
-        corners = _corners(half * max(scale / self.scales[-1], 1.0))
-        corners = np.concatenate([-corners[::-1], corners]) / max(ratio, _SMALLEST_RATIO)
-        rows = np.diff(self._sums_up_to(np.clip(corners, -half, half)), axis=0)
-        return rows @ detail @ rows.T
-
-    @cached_property
-    def _sums_up_to(self) -> BSpline:
-        """Map a place on an axis to the weight that each pixel has in the sum up to it."""
-        side = self.kernels.shape[1]
-        sums = np.tri(side + 1, side, -1)
-        return make_interp_spline(np.arange(side + 1) - side / 2, sums, bc_type="clamped")
-
-    @cached_property
-    def _digest(self) -> bytes:
-        content = (self.scales, np.float64(self.max_scale), self.kernels)
-        return hashlib.sha256(b"".join(part.tobytes() for part in content)).digest()
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, MeasuredPSF):
-            return NotImplemented
-        return self._digest == other._digest
-
-    def __hash__(self) -> int:
-        return hash(self._digest)
-
-    def __repr__(self) -> str:
-        side = self.kernels.shape[1]
-        return (
-            f"MeasuredPSF({len(self.scales)} kernels of {side} x {side} px, measured from "
-            f"{self.scales[0]:.2f} to {self.scales[-1]:.2f} px)"
-        )
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the family into one .npz file, whole or not at all; an old one is replaced.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be written; the message has the path and the reason.
-        """
-        from napari_defocus.files import write_results
-
-        buffer = io.BytesIO()
-        np.savez_compressed(
-            buffer,
-            format=np.array(_FORMAT),
-            version=np.array(napari_defocus.__version__),
-            scales=self.scales,
-            kernels=self.kernels,
-            max_scale=np.array(self.max_scale),
-            provenance=np.array(json.dumps(self.provenance)),
-        )
-        write_results({Path(path): buffer.getvalue()}, force=True)
-
-    @classmethod
-    def load(cls, path: str | PathLike[str]) -> MeasuredPSF:
-        """Read a family that `save` wrote.
-
-        Raises
-        ------
-        ValueError
-            If there is no such file, or it is damaged or something else.
-        """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                if str(file["format"]) != _FORMAT:
-                    raise ValueError(f"its format is {str(file['format'])!r}, not {_FORMAT!r}")
-                return cls(
-                    file["scales"],
-                    file["kernels"],
-                    max_scale=float(file["max_scale"]),
-                    provenance=json.loads(str(file["provenance"])),
-                )
-        except FileNotFoundError:
-            raise ValueError(f"cannot read {path}: there is no such file") from None
-        # Damaged bytes lead zipfile, zlib and numpy into whatever they raise.
-        except Exception as error:
-            raise ValueError(
-                f"cannot read {path}: it is no measured PSF, or damaged ({error})"
-            ) from error
 
 
 def as_family(psf: PSFFamily | Callable[[float], ArrayLike]) -> PSFFamily:
@@ -598,114 +377,24 @@ def as_family(psf: PSFFamily | Callable[[float], ArrayLike]) -> PSFFamily:
     raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
 
 
-_Written = Disc | Gaussian | GeneralizedGaussian | Polygon | Annulus
-
-_SPELLED: dict[str, tuple[Callable[..., _Written], tuple[Callable[[str], float], ...]]] = {
-    "disc": (Disc, ()),
-    "gaussian": (Gaussian, ()),
-    "generalized-gaussian": (GeneralizedGaussian, (float,)),
-    "polygon": (Polygon, (int, float)),
-    "annulus": (Annulus, (float,)),
-}
-
-PSF_TEXTS = (
-    "disc, gaussian, generalized-gaussian:EXPONENT, polygon:BLADES[:ROTATION], "
-    "annulus:OBSTRUCTION, or the path of a saved .npz"
-)
-"""What `psf_from_text` takes, for help and errors."""
-
-
-def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
-    """Make a PSF family from a line of text.
-
-    Parameters
-    ----------
-    text : str
-        "disc", "gaussian", "generalized-gaussian:1.5", "polygon:6", "polygon:6:15" (rotation in
-        degrees), "annulus:0.5", or the path of a .npz file that `MeasuredPSF.save` wrote.
-        Parameters that are left out have the family's defaults.
-    max_scale : float, optional
-        Largest scale that is looked for, in px; by default the family's own.
-
-    Returns
-    -------
-    PSFFamily
-
-    Raises
-    ------
-    ValueError
-        If the text says none of these, a parameter is out of its range, or the file cannot be
-        read.
-
-    Examples
-    --------
-    >>> psf_from_text("polygon:6:15", max_scale=5.0)
-    Polygon(blades=6, rotation=15.0, max_radius=5.0)
-    """
-    if text.lower().endswith(".npz"):
-        measured = MeasuredPSF.load(text)
-        return measured if max_scale is None else replace(measured, max_scale=max_scale)
-    name, *parts = text.strip().lower().split(":")
-    try:
-        family, kinds = _SPELLED[name]
-        values = [kind(part) for kind, part in zip(kinds, parts, strict=False)]
-        if len(parts) > len(kinds):
-            raise ValueError
-    except (KeyError, ValueError):
-        raise ValueError(f"psf is {text!r}; it takes {PSF_TEXTS}") from None
-    psf = family(*values)
-    if max_scale is None:
-        return psf
-    largest: dict[str, Any] = {fields(psf)[-1].name: max_scale}
-    return replace(psf, **largest)
-
-
-def psf_text(psf: PSFFamily) -> str:
-    """Write a family as `psf_from_text` reads it, without its largest scale.
-
-    Raises
-    ------
-    ValueError
-        If the family cannot be written as text: measured ones, functions and your own.
-
-    Examples
-    --------
-    >>> psf_text(Polygon(5, rotation=18.0))
-    'polygon:5:18'
-    """
-    for name, (family, _) in _SPELLED.items():
-        if isinstance(psf, _Written) and type(psf) is family:
-            values = (str(value).removesuffix(".0") for value in astuple(psf)[:-1])
-            return ":".join([name, *values])
-    raise ValueError(f"psf is {psf!r}, which has no text form; it takes {PSF_TEXTS}")
-
-
-def _check_number(
+def check_number(
     name: str, value: Any, fits: Callable[[Any], bool], takes: str, kind: type = Real
 ) -> None:
+    """Check one parameter of a family: its type, and whether it fits."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} is {value!r}; it takes {takes}")
     if not fits(value):
         raise ValueError(f"{name} is {value}; it takes {takes}")
 
 
-def _check_largest(name: str, value: float) -> None:
-    _check_number(name, value, lambda v: 1 <= v < math.inf, "a number from 1 px up")
+def check_largest(name: str, value: float) -> None:
+    """Check the largest scale of a family, in px."""
+    check_number(name, value, lambda v: 1 <= v < math.inf, "a number from 1 px up")
 
 
-def _checked_scales(scales: ArrayLike) -> NDArray[np.float64]:
-    array = _real_array(scales, "scales are")
-    if array.ndim != 1 or array.size == 0:
-        raise ValueError(f"scales have shape {array.shape}; it takes (M,), M from 1 up")
-    increasing = array[0] >= 0 and (np.diff(array) > 0).all() and array[-1] > 0
-    if not (np.isfinite(array).all() and increasing):
-        raise ValueError(f"scales are {array.tolist()}; it takes increasing px from 0 up")
-    return array
-
-
-def _checked_kernels(kernels: ArrayLike, ndim: int, found: str, takes: str) -> NDArray[np.float64]:
+def checked_kernels(kernels: ArrayLike, ndim: int, found: str, takes: str) -> NDArray[np.float64]:
     """Return kernels normalised to sum 1; `found` and `takes` begin and end the errors."""
-    array = _real_array(kernels, found)
+    array = real_array(kernels, found)
     square = array.ndim == ndim and array.shape[-1] == array.shape[-2]
     if not square or array.shape[-1] % 2 == 0 or array.size == 0:
         raise ValueError(
@@ -723,7 +412,8 @@ def _checked_kernels(kernels: ArrayLike, ndim: int, found: str, takes: str) -> N
     return array / sums
 
 
-def _real_array(values: ArrayLike, found: str) -> NDArray[np.float64]:
+def real_array(values: ArrayLike, found: str) -> NDArray[np.float64]:
+    """Return values as real numbers; `found` begins the error if they are none."""
     try:
         array = np.asarray(values)
     except ValueError as error:
@@ -733,33 +423,17 @@ def _real_array(values: ArrayLike, found: str) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
-def _checked_provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    try:
-        return json.loads(json.dumps(dict(provenance)))
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"provenance is nothing that JSON can hold: {error}") from None
-
-
-def _trimmed(kernel: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cut dark borders off, the same on all sides, and normalise to sum 1."""
-    rows, columns = np.nonzero(kernel > _INVISIBLE * kernel.max())
-    middle = len(kernel) // 2
-    reach = max(np.abs(rows - middle).max(), np.abs(columns - middle).max())
-    inner = slice(middle - reach, middle + reach + 1)
-    return kernel[inner, inner] / kernel[inner, inner].sum()
-
-
-def _corners(reach: float) -> Float64:
+def corners_to(reach: float) -> Float64:
     """Return 0.5, 1.5, ... px: the corners from the middle pixel's to the first past `reach`."""
     return np.arange(max(math.ceil(reach - 0.5), 0) + 1) + 0.5
 
 
 def _from_quadrant(area: Float64) -> NDArray[np.float64]:
     """Return the kernel whose sums from the centre to the corners right below are given."""
-    return _from_cumulative(np.block([[area[::-1, ::-1], -area[::-1]], [-area[:, ::-1], area]]))
+    return from_cumulative(np.block([[area[::-1, ::-1], -area[::-1]], [-area[:, ::-1], area]]))
 
 
-def _from_cumulative(below: Float64) -> NDArray[np.float64]:
+def from_cumulative(below: Float64) -> NDArray[np.float64]:
     """Return the kernel whose sums up to each corner, but for a constant, are given."""
     covered = np.maximum(np.diff(np.diff(below, axis=0), axis=1), 0)
     return covered / covered.sum()

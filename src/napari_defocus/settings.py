@@ -116,7 +116,8 @@ def psf_of(text: str, max_radius: float) -> PSFFamily:
     Gaussian(max_sigma=3.0)
     """
     # Not above: the families take their defaults from here.
-    from napari_defocus.psf import MeasuredPSF, psf_from_text
+    from napari_defocus.measured_psf import MeasuredPSF
+    from napari_defocus.psf_text import psf_from_text
 
     family = psf_from_text(text)
     largest = max_radius

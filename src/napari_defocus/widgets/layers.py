@@ -17,7 +17,8 @@ from napari.utils.transforms import CompositeAffine
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
-from napari_defocus.psf import MeasuredPSF, PSFFamily
+from napari_defocus.measured_psf import MeasuredPSF
+from napari_defocus.psf import PSFFamily
 from napari_defocus.settings import MapSettings, MaskSettings
 
 METADATA_KEY = "napari_defocus"

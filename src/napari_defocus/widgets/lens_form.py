@@ -5,7 +5,8 @@ from pathlib import Path
 
 from magicgui.widgets import ComboBox, FileEdit, FloatSpinBox, SpinBox, Widget
 
-from napari_defocus.psf import Annulus, GeneralizedGaussian, Polygon, psf_from_text, psf_text
+from napari_defocus.psf import Annulus, GeneralizedGaussian, Polygon
+from napari_defocus.psf_text import psf_from_text, psf_text
 from napari_defocus.settings import MapSettings, MaskSettings, usual_threshold
 
 MEASURED = "measured"
