@@ -18,7 +18,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import convolve
 
 import napari_defocus
-from napari_defocus.psf import corners_to, check_largest, checked_kernels, real_array
+from napari_defocus.psf import check_largest, checked_kernels, corners_to, real_array
 
 Float64 = NDArray[np.floating]
 
