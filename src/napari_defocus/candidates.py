@@ -220,7 +220,7 @@ def estimate_candidates(
     picture = prepare_image(image, intensity_range, linearize)
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
-        noise_variance = noise_variance_of(picture, psf, window)
+        noise_variance = noise_variance_of(picture, [psf], window)
     shot_noise = noise_variance if isinstance(noise_variance, ShotNoise) else None
     if isinstance(noise_variance, ShotNoise):
         noise_variance = float(noise_variance.variance_at(picture.luminance).mean())

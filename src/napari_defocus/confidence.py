@@ -21,9 +21,11 @@ _ROUNDING = 1e-4
 
 _TEMPER = 0.5
 _WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.659, -0.159, 0.925
+"""Fitted by benchmarks/confidence.py, which also says what they are worth."""
+
 _LEAST_ODDS, _LEAST_JUMP = 1e-3, 0.05
 _INFORMATIVE, _STEEPNESS = 4.0, 3.0
-"""Fitted by benchmarks/confidence.py, which says what they are worth."""
+"""Noise alone gives averaged curves a depth of 0.05 to 0.9, rarely 3; texture 8 to 15."""
 
 
 def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:

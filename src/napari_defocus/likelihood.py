@@ -33,7 +33,6 @@ SILENCE = 1e-12
 
 _LANES = 16
 _LEAST_LOG, _LARGEST_LOG, _LOG_STEP = np.float32(-20), np.float32(60), np.float32(0.5)
-_FIRST_LOG = np.float32(7)
 _LEAST_SIGNAL = np.float32(0.1)
 _LIMIT = np.float32(1)
 _MOST_ROUNDS = 6

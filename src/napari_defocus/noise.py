@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,7 +141,7 @@ def estimate_noise_variance(
     True
     """
     psf = check_windows(psf, window)
-    return noise_variance_of(prepare_image(image, intensity_range, linearize), psf, window)
+    return noise_variance_of(prepare_image(image, intensity_range, linearize), [psf], window)
 
 
 def estimate_shot_noise(
@@ -187,13 +188,25 @@ def estimate_shot_noise(
     return shot_noise_of(prepare_image(image, intensity_range, linearize), psf, window)
 
 
-def noise_variance_of(picture: PreparedImage, psf: PSFFamily, window: int) -> float:
-    """Find the noise variance of a prepared picture, see `estimate_noise_variance`."""
-    floor = float(np.quantile(_local_details(picture)[0], _FLOOR_QUANTILE)) / _FLOOR_OF_WHITE
-    if floor == 0 or not _is_compressed(picture.luminance):
+def noise_variance_of(picture: PreparedImage, families: Sequence[PSFFamily], window: int) -> float:
+    """Find the noise variance of a prepared picture, the smallest with any of the families."""
+    details, _ = _local_details(picture)
+    return _variance(picture, details, families, window, _is_compressed(picture.luminance))
+
+
+def _variance(
+    picture: PreparedImage,
+    details: Float64,
+    families: Sequence[PSFFamily],
+    window: int,
+    compressed: bool,
+) -> float:
+    floor = float(np.quantile(details, _FLOOR_QUANTILE)) / _FLOOR_OF_WHITE
+    if floor == 0 or not compressed:
         return floor
-    agreed = _agreed_variance(picture, psf, window, floor * _LADDER)
-    return min(agreed, _COMPRESSED_FACTOR * floor)
+    ladder = floor * _LADDER
+    agreed = (_agreed_variance(picture, psf, window, ladder) for psf in families)
+    return min(*agreed, _COMPRESSED_FACTOR * floor)
 
 
 def _agreed_variance(picture: PreparedImage, psf: PSFFamily, window: int, ladder: Float64) -> float:
@@ -206,6 +219,8 @@ def _agreed_variance(picture: PreparedImage, psf: PSFFamily, window: int, ladder
     table = spectrum_table(psf, window, rows[0] % 1, columns[0] % 1, "exact")
     power = local_power(gradient, rows, columns, window).reshape(-1, *table.noise.shape)
     power = power[power.any(axis=(1, 2))]
+    if not len(power):
+        return float(ladder[-1])
     scales = label_scales(psf)[::_SCALE_STRIDE]
     evidence = [
         profile_log_likelihood(power, table, scales, variance).max(axis=1) for variance in ladder
@@ -282,12 +297,13 @@ def _blockiness(steps: NDArray[np.floating]) -> float:
 
 def shot_noise_of(picture: PreparedImage, psf: PSFFamily, window: int) -> ShotNoise:
     """Find the growth of the noise of a prepared picture, see `estimate_shot_noise`."""
-    details, intensity = (values[::_SHOT_NOISE_STEP] for values in _local_details(picture))
-    order = np.array_split(np.argsort(intensity), _INTENSITY_BINS)
-    bins = [places for places in order if len(places) >= _FEWEST_PLACES]
-    variance = noise_variance_of(picture, psf, window)
+    everywhere, compressed = _local_details(picture), _is_compressed(picture.luminance)
+    variance = _variance(picture, everywhere[0], [psf], window, compressed)
     if variance == 0:
         raise ValueError("image has no noise; its growth with the intensity cannot be found")
+    details, intensity = (values[::_SHOT_NOISE_STEP] for values in everywhere)
+    order = np.array_split(np.argsort(intensity), _INTENSITY_BINS)
+    bins = [places for places in order if len(places) >= _FEWEST_PLACES]
     if len(bins) < 2:
         return ShotNoise(variance, 0.0)
     floor = np.array([np.quantile(details[places], _FLOOR_QUANTILE) for places in bins])
@@ -296,7 +312,7 @@ def shot_noise_of(picture: PreparedImage, psf: PSFFamily, window: int) -> ShotNo
     # Relative errors count: a textured bin is too high by a factor.
     design = np.stack([np.ones_like(mean), mean], axis=1) / floor[:, None]
     (read, gain), _ = nnls(design, np.ones_like(mean))
-    if _is_compressed(picture.luminance):
+    if compressed:
         scale = variance / (read + gain * np.maximum(picture.luminance, 0).mean())
         read, gain = scale * read, scale * gain
     return ShotNoise(float(read), float(gain))
