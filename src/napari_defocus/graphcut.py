@@ -3,13 +3,14 @@
 The energy is (14): sum_x D_x(l_x) + sum_(x, v) w_xv |l_x - l_v|, over the 8 neighbours of each
 node. Two kinds of moves change many labels at once, each the best of its kind:
 
+- a fusion offers every node one other label, any label, and is a plain minimum cut, because
+  |a - b| is submodular in "the node has the larger of its two labels"; it is an expansion if all
+  offers are the same label;
 - a range move finds the best labels within a range of labels at each node (Ishikawa's graph,
-  one node for each threshold within the range); over all labels it is the exact optimum;
-- a fusion offers every node one other label. It is a plain minimum cut if all offers are the
-  same label (expansion), or lie nowhere above, or nowhere below, the present labels, because
-  |a - b| is submodular.
+  one node for each threshold within the range); over all labels it is the exact optimum.
 
-They are applied from coarse to fine. This is the only file that knows PyMaxflow.
+They are applied from coarse to fine. Most of the flow of a cut is found by passing messages
+before PyMaxflow looks for paths. This is the only file that knows PyMaxflow.
 """
 
 from __future__ import annotations
@@ -20,23 +21,49 @@ import maxflow
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from napari_defocus.progress import Progress, silent, within
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+Places = NDArray[np.int64]
 
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """From a node to the half of its 8 neighbours that comes after it: row and column steps."""
 
 _STEP = "Choosing labels"
-_COARSEST = 20
-_RANGE = np.int32(6)
+_COARSEST = 2600
+_COARSE_STEP = 4
 _RELAXATION = np.float32(0.4)
 _LEAST_GAIN = 1e-6
 _NEVER = 1e12
-_NODES_A_STRIP = 16384
+_ROUNDS = 10
+_SHARE = np.float32(0.25)
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """Which labels are offered to which nodes: every `step`-th, near the nodes that have it.
+
+    Attributes
+    ----------
+    reach : int
+        Labels that differ by no more count as the same.
+    grow : int
+        How many nodes around are offered it, too.
+    step : int
+    """
+
+    reach: int
+    grow: int
+    step: int
+
+
+_CLOSE = _Sweep(reach=1, grow=1, step=1)
+_FAR = _Sweep(reach=6, grow=3, step=2)
 
 
 def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent) -> Labels:
@@ -55,18 +82,23 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
     (R, C) int32 ndarray
     """
     levels = [(data, weights)]
-    while max(levels[-1][0].shape[:2]) > _COARSEST:
+    while levels[-1][1][0].size > _COARSEST:
         levels.append(_coarser(*levels[-1]))
-    labels = solve_exactly(*levels[-1])
-    for depth, (level_data, level_weights) in enumerate(reversed(levels[:-1]), 1):
+    labels = _coarse_start(*levels[-1])
+    for depth, (level_data, level_weights) in enumerate(reversed(levels), 1):
         rows, columns = level_data.shape[:2]
-        start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns]
-        finest = depth == len(levels) - 1
+        start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns] if depth > 1 else labels
         # Each level has four times the nodes of the one before it.
-        report = within(progress, 0.25 ** (len(levels) - depth), 0.25 ** (len(levels) - 1 - depth))
-        labels = _improve(start, level_data, level_weights, finest, report)
+        report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
+        labels = _improve(start, level_data, level_weights, report)
     progress(_STEP, 1.0)
     return labels
+
+
+def _coarse_start(data: Float32, weights: Float32) -> Labels:
+    """Find the labels of least energy among every fourth: they decide about whole regions."""
+    every = np.ascontiguousarray(data[..., ::_COARSE_STEP])
+    return _COARSE_STEP * solve_exactly(every, weights * np.float32(_COARSE_STEP))
 
 
 def solve_exactly(data: Float32, weights: Float32) -> Labels:
@@ -75,58 +107,72 @@ def solve_exactly(data: Float32, weights: Float32) -> Labels:
     Parameters and result are those of `minimize_energy`; the cut has R x C x (L - 1) nodes.
     """
     rows, columns, count = data.shape
-    low = np.zeros(rows * columns, np.int32)
+    low = np.zeros((rows, columns), np.int32)
+    if count == 2:
+        return _fuse_labels(low, low + np.int32(1), data, weights)
     high = low + np.int32(count - 1)
     edges = Edges.of_grid(weights)
-    return best_in_range(low, high, data.reshape(-1, count), edges).reshape(rows, columns)
+    best = best_in_range(low.ravel(), high.ravel(), data.reshape(-1, count), edges)
+    return best.reshape(rows, columns)
 
 
-def _improve(
-    start: Labels, data: Float32, weights: Float32, finest: bool, progress: Progress
-) -> Labels:
-    """Lower the energy of labels from a coarser level: expansions, then range moves.
+def _improve(start: Labels, data: Float32, weights: Float32, progress: Progress) -> Labels:
+    """Lower the energy of labels that come from a coarser level.
 
-    Small things appear as the grid gets finer, so that labels from all over are offered (those
-    between are the range move's); on the finest grid, those that are present.
+    Nodes are offered their own best label and those beside them; then each label is offered
+    where it may win, which is near where it is.
     """
-    costs, edges = data.reshape(-1, data.shape[2]), Edges.of_grid(weights)
-    labels = _better(start.ravel(), costs.argmin(axis=1).astype(np.int32), costs, edges)
-    offers = np.unique(labels) if finest else range(0, data.shape[2], 3)
-    for done, alpha in enumerate(offers):
-        progress(_STEP, 0.7 * done / len(offers))
-        labels = expand(labels, int(alpha), costs, edges)
-    labels = labels.reshape(start.shape)
-    rows, columns = data.shape[:2]
-    height = max(1, _NODES_A_STRIP // columns)
-    for top in range(0, rows, height):
-        progress(_STEP, 0.7 + 0.3 * top / rows)
-        _move_strip(labels, top, top + height, _RANGE, data, weights)
+    labels = _fuse_labels(start, data.argmin(axis=2).astype(np.int32), data, weights)
+    for beside in (minimum_filter, maximum_filter):
+        labels = _fuse_labels(labels, beside(labels, 3), data, weights)
+    free = np.ones(labels.shape, bool)
+    for part, sweep in enumerate((_CLOSE, _FAR, _CLOSE)):
+        report = within(progress, part / 3, (part + 1) / 3)
+        before = labels
+        labels = _expand_near(labels, sweep, free, data, weights, report)
+        if sweep is _FAR:
+            free = maximum_filter(labels != before, 7)
     return labels
 
 
-def _better(first: Labels, second: Labels, data: Float32, edges: Edges) -> Labels:
-    """Return the labels of less energy: where neighbours owe little, each node's own best."""
-    energies = [labeling_energy(labels, data, edges) for labels in (first, second)]
-    return first if energies[0] <= energies[1] else second
+def _expand_near(
+    labels: Labels,
+    sweep: _Sweep,
+    free: Mask,
+    data: Float32,
+    weights: Float32,
+    progress: Progress,
+) -> Labels:
+    """Offer labels to the free nodes near those that have about this label."""
+    count = data.shape[2]
+    for alpha in range(0, count, sweep.step):
+        progress(_STEP, alpha / count)
+        place = _near(labels, alpha, sweep.reach, sweep.grow, free)
+        labels = _expand_at(labels, alpha, place, data, weights)
+    return labels
 
 
-def _move_strip(
-    labels: Labels, top: int, bottom: int, reach: np.int32, data: Float32, weights: Float32
-) -> None:
-    """Make the range move of some rows, in place; the rows beside them keep their labels."""
-    around = slice(max(top - 1, 0), bottom + 1)
-    present = labels[around]
-    free = np.zeros((len(present), 1), bool)
-    free[top - around.start : bottom - around.start] = True
-    low = np.where(free, np.maximum(present - reach, 0), present)
-    high = np.where(free, np.minimum(present + reach, data.shape[2] - 1), present)
-    inner = weights[:, around].copy()
-    inner[1:, -1] = 0
-    costs = data[around].reshape(-1, data.shape[2])
-    moved = best_in_range(
-        low.ravel().astype(np.int32), high.ravel().astype(np.int32), costs, Edges.of_grid(inner)
-    )
-    labels[around] = moved.reshape(present.shape)
+@njit(cache=True, nogil=True)
+def _near(labels: Labels, alpha: int, reach: int, grow: int, free: Mask) -> Places:
+    """Return the free nodes of other labels around those whose label is near alpha."""
+    rows, columns = labels.shape
+    near = np.zeros((rows, columns), np.bool_)
+    first, last = rows, -1
+    for i in range(rows):
+        for j in range(columns):
+            if abs(labels[i, j] - alpha) <= reach:
+                for y in range(max(0, i - grow), min(rows, i + grow + 1)):
+                    for x in range(max(0, j - grow), min(columns, j + grow + 1)):
+                        near[y, x] = True
+                first, last = min(first, i - grow), i + grow
+    place = np.empty(rows * columns, np.int64)
+    count = 0
+    for i in range(max(first, 0), min(last + 1, rows)):
+        for j in range(columns):
+            if near[i, j] and free[i, j] and labels[i, j] != alpha:
+                place[count] = i * columns + j
+                count += 1
+    return place[:count].copy()
 
 
 def expand_until_settled(data: Float32, weights: Float32, progress: Progress = silent) -> Labels:
@@ -136,23 +182,45 @@ def expand_until_settled(data: Float32, weights: Float32, progress: Progress = s
     for it. Parameters and result are the same.
     """
     count = data.shape[2]
-    costs, edges = data.reshape(-1, count), Edges.of_grid(weights)
-    labels = costs.argmin(axis=1).astype(np.int32)
-    before, after = np.inf, labeling_energy(labels, costs, edges)
+    labels = data.argmin(axis=2).astype(np.int32)
+    before, after = np.inf, energy_of(labels, data, weights)
     left = 1.0  # of the bar: nobody knows how many rounds there will be
     while after < before - _LEAST_GAIN * abs(after):
         for alpha in range(count):
             progress(_STEP, 1 - left * (1 - 0.5 * alpha / count))
-            labels = expand(labels, alpha, costs, edges)
-        before, after = after, labeling_energy(labels, costs, edges)
+            labels = expand(labels, alpha, data, weights)
+        before, after = after, energy_of(labels, data, weights)
         left /= 2
-    return labels.reshape(data.shape[:2])
+    return labels
 
 
-def expand(labels: Labels, alpha: int, data: Float32, edges: Edges) -> Labels:
+def expand(labels: Labels, alpha: int, data: Float32, weights: Float32) -> Labels:
     """Let the label alpha take the nodes that it should have: an expansion move."""
-    change = data[:, alpha] - data[np.arange(len(labels)), labels]
-    return fuse(labels, np.full_like(labels, alpha), change, edges)
+    return _expand_at(labels, alpha, np.flatnonzero(labels != alpha), data, weights)
+
+
+def _expand_at(
+    labels: Labels, alpha: int, place: Places, data: Float32, weights: Float32
+) -> Labels:
+    proposal = labels.copy()
+    proposal.ravel()[place] = alpha
+    return fuse(labels, proposal, place, _change(labels, proposal, place, data), weights)
+
+
+def _fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float32) -> Labels:
+    place = np.flatnonzero(labels != proposal)
+    return fuse(labels, proposal, place, _change(labels, proposal, place, data), weights)
+
+
+@njit(cache=True, nogil=True)
+def _change(labels: Labels, proposal: Labels, place: Places, data: Float32) -> Float32:
+    """Return D of the proposed label minus D of the present one, at some nodes."""
+    columns = labels.shape[1]
+    change = np.empty(len(place), np.float32)
+    for k in range(len(place)):
+        i, j = place[k] // columns, place[k] % columns
+        change[k] = data[i, j, proposal[i, j]] - data[i, j, labels[i, j]]
+    return change
 
 
 def _coarser(data: Float32, weights: Float32) -> tuple[Float32, Float32]:
@@ -246,11 +314,19 @@ class Edges:
         return cls(first.astype(np.int32), (first + step[k]).astype(np.int32), weights[k, i, j])
 
 
-def labeling_energy(labels: Labels, data: Float32, edges: Edges) -> float:
-    """Evaluate (14) for labels (N,), costs (N, L) and pairs."""
-    costs = data[np.arange(len(labels)), labels].sum(dtype=np.float64)
-    jumps = np.abs(labels[edges.first] - labels[edges.second])
-    return float(costs + np.sum(edges.weight * jumps, dtype=np.float64))
+@njit(cache=True, nogil=True)
+def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
+    """Evaluate (14) for labels (R, C), costs (R, C, L) and weights (4, R, C)."""
+    rows, columns = labels.shape
+    energy = 0.0
+    for i in range(rows):
+        for j in range(columns):
+            energy += data[i, j, labels[i, j]]
+            for k, (down, right) in enumerate(STEPS):
+                y, x = i + down, j + right
+                if y < rows and 0 <= x < columns:
+                    energy += weights[k, i, j] * abs(labels[i, j] - labels[y, x])
+    return energy
 
 
 def best_in_range(low: Labels, high: Labels, data: Float32, edges: Edges) -> Labels:
@@ -322,14 +398,14 @@ def _threshold_graph(
     return cost, tail[:count], head[:count], forth[:count], back[:count]
 
 
-def _sink_side(
-    cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64
-) -> NDArray[np.bool_]:
+def _sink_side(cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64) -> Mask:
     """Cut a graph at the least cost and return which nodes are on the sink's side.
 
     `cost` is paid by each node on that side, `forth` by each arc from the source's side to it,
     `back` by each arc the other way.
     """
+    if not len(cost):
+        return np.zeros(0, bool)
     graph = maxflow.GraphFloat(len(cost), len(tail))
     nodes = graph.add_nodes(len(cost))
     graph.add_edges(tail, head, forth, back)
@@ -338,49 +414,116 @@ def _sink_side(
     return graph.get_grid_segments(nodes)
 
 
-def fuse(labels: Labels, proposal: Labels, change: NDArray[np.floating], edges: Edges) -> Labels:
+def fuse(
+    labels: Labels, proposal: Labels, place: Places, change: Float32, weights: Float32
+) -> Labels:
     """Take the proposed label at the best set of nodes: one minimum cut.
 
     Parameters
     ----------
-    labels, proposal : (N,) int32 ndarray
-        One constant, one common step, or ordered: see the module's text.
-    change : (N,) ndarray
+    labels, proposal : (R, C) int32 ndarray
+    place : (P,) int64 ndarray
+        Where they differ, as places in the flat grid, in order.
+    change : (P,) ndarray
         D of the proposed label minus D of the present one.
-    edges : Edges
+    weights : (4, R, C) float32 ndarray
 
     Returns
     -------
-    (N,) int32 ndarray
+    (R, C) int32 ndarray
     """
-    cost, capacity = _cut_costs(labels, proposal, change, edges.first, edges.second, edges.weight)
-    taken = _sink_side(cost, edges.first, edges.second, capacity, np.zeros_like(capacity))
-    return np.where(taken, proposal, labels)
+    if not len(place):
+        return labels
+    cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
+    forth, back = _flow(cost, tail, head, capacity)
+    upper = _sink_side(cost, tail, head, forth, back)
+    now, new = labels.ravel()[place], proposal.ravel()[place]
+    fused = labels.copy()
+    fused.ravel()[place] = np.where(upper, np.maximum(now, new), np.minimum(now, new))
+    return fused
 
 
 @njit(cache=True, nogil=True)
-def _cut_costs(
-    labels: Labels,
-    proposal: Labels,
-    change: NDArray[np.floating],
-    first: Labels,
-    second: Labels,
-    weights: Float32,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what each node's change costs alone, and the capacity of each edge.
+def _fusion_graph(
+    labels: Labels, proposal: Labels, place: Places, change: Float32, weights: Float32
+) -> tuple[Float64, Labels, Labels, Float32]:
+    """Return unary costs and edges of the binary variables "the node has its larger label".
 
-    With 0 for keep and 1 for take, a pair's E(x, y) is E00 + (E10 - E00) x + (E11 - E10) y
-    + (E01 + E10 - E00 - E11) (1 - x) y.
+    |l - m| is a sum over thresholds: those between a node's two labels join it to a neighbour if
+    they are between that one's two labels as well, and are unary costs if not.
     """
-    cost = change.astype(np.float64)
-    capacity = np.empty(len(weights))
-    for edge in range(len(weights)):
-        i, j, weight = first[edge], second[edge], weights[edge]
-        keep_keep = abs(labels[i] - labels[j])
-        keep_take = abs(labels[i] - proposal[j])
-        take_keep = abs(proposal[i] - labels[j])
-        take_take = abs(proposal[i] - proposal[j])
-        cost[i] += weight * (take_keep - keep_keep)
-        cost[j] += weight * (take_take - take_keep)
-        capacity[edge] = weight * (keep_take + take_keep - keep_keep - take_take)
-    return cost, capacity
+    rows, columns = labels.shape
+    node = np.full((rows, columns), -1, np.int32)
+    for here in range(len(place)):
+        node[place[here] // columns, place[here] % columns] = here
+    cost = np.zeros(len(place))
+    tail, head = np.empty(4 * len(place), np.int32), np.empty(4 * len(place), np.int32)
+    capacity = np.empty(4 * len(place), np.float32)
+    edges = 0
+    for here in range(len(place)):
+        i, j = place[here] // columns, place[here] % columns
+        low, high = labels[i, j], proposal[i, j]
+        if low < high:
+            cost[here] += change[here]
+        else:
+            low, high = high, low
+            cost[here] -= change[here]
+        for k, (down, right) in enumerate(STEPS):
+            y, x = i + down, j + right
+            if y < rows and 0 <= x < columns:
+                weight, there = weights[k, i, j], node[y, x]
+                least = min(labels[y, x], proposal[y, x])
+                most = max(labels[y, x], proposal[y, x])
+                cost[here] += weight * _outside(low, high, least, most)
+                if there >= 0:
+                    cost[there] += weight * _outside(least, most, low, high)
+                    common = min(high, most) - max(low, least)
+                    if common > 0:
+                        tail[edges], head[edges] = here, there
+                        capacity[edges] = weight * common
+                        edges += 1
+            y, x = i - down, j - right
+            if y >= 0 and 0 <= x < columns and node[y, x] < 0:
+                beside = labels[y, x]
+                cost[here] += weights[k, y, x] * _outside(low, high, beside, beside)
+    return cost, tail[:edges], head[:edges], capacity[:edges]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _outside(low: int, high: int, least: int, most: int) -> int:
+    """Count the thresholds from low to high that are above most, less those below least."""
+    return max(high, most) - max(low, most) - min(high, least) + min(low, least)
+
+
+@njit(cache=True, nogil=True)
+def _flow(cost: Float64, tail: Labels, head: Labels, capacity: Float32) -> tuple[Float64, Float64]:
+    """Send most of the flow by passing messages; return what is left of each edge, there and back.
+
+    Some rounds of TRW-S: a node tells its neighbours the share of its own cost that they may
+    have, to and fro. Any flow within the capacities leaves the same cut the least one, and the
+    search for paths has less to do. Edges are sorted by tail, and a tail comes before its head.
+    """
+    count = len(tail)
+    total = cost.astype(np.float32)
+    sent, returned = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    for _ in range(_ROUNDS):
+        for edge in range(count):
+            limit = capacity[edge]
+            message = _SHARE * total[tail[edge]] - returned[edge]
+            message = min(max(message, -limit), limit)
+            total[head[edge]] += message - sent[edge]
+            sent[edge] = message
+        for edge in range(count - 1, -1, -1):
+            limit = capacity[edge]
+            message = _SHARE * total[head[edge]] - sent[edge]
+            message = min(max(message, -limit), limit)
+            total[tail[edge]] += message - returned[edge]
+            returned[edge] = message
+    forth, back = np.empty(count), np.empty(count)
+    for edge in range(count):
+        flow = np.float32(0.5) * (sent[edge] - returned[edge])
+        flow = min(max(flow, -capacity[edge]), capacity[edge])
+        cost[head[edge]] += flow
+        cost[tail[edge]] -= flow
+        forth[edge], back[edge] = capacity[edge] - flow, capacity[edge] + flow
+    return forth, back
