@@ -20,7 +20,7 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
-from napari_defocus.graphcut import STEPS, Edges, fuse, join_blocks
+from napari_defocus.graphcut import STEPS, Mask, Places, fuse, join_blocks
 from napari_defocus.progress import Progress, silent
 from napari_defocus.spectrum import LABEL_STEP
 
@@ -163,52 +163,42 @@ def label_pixels(
     if not beside_jump.any():
         return pixels
     free = blocks.spread(binary_dilation(beside_jump, iterations=-(-reach // blocks.side)))
-    place = np.flatnonzero(binary_dilation(free, np.ones((3, 3))))
-    edges = _pixel_edges(color, place, smoothness, color_sigma)
-    rows, columns = blocks.positions
+    weights = _pixel_weights(color, free, np.float32(0.5 / color_sigma**2))
+    weights *= np.float32(smoothness)
     left = reach
     while left > 0:
         for offer in (grey_erosion, grey_dilation):
             progress("Following the picture's edges", 1 - left / reach)
-            proposal = np.where(free, offer(pixels, 2 * left + 1), pixels)
-            now, new = pixels.ravel()[place], proposal.ravel()[place].astype(np.int32)
-            change = _interpolated_change(cost, now, new, place, rows, columns)
-            pixels.flat[place] = fuse(now, new, change, edges)
+            proposal = offer(pixels, 2 * left + 1)
+            # Smaller steps are interpolated later, whichever side of them a pixel is on.
+            place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
+            proposal = _changed(pixels, place, proposal.ravel()[place])
+            change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            pixels = fuse(pixels, proposal, place, change, weights)
         left //= 2
     return pixels
 
 
-def _pixel_edges(
-    color: Float32, place: NDArray[np.int64], smoothness: float, color_sigma: float
-) -> Edges:
-    """Return the pairs of neighbours among some pixels, with the weights (16)."""
-    node_of_pixel = np.full(color.shape[:2], -1, np.int32)
-    node_of_pixel.flat[place] = np.arange(len(place))
-    sharpness = np.float32(0.5 / color_sigma**2)
-    first, second, weight = _pixel_pairs(color, node_of_pixel, len(place), sharpness)
-    return Edges(first, second, weight * np.float32(smoothness))
+def _changed(values: Labels, place: Places, new: Labels) -> Labels:
+    changed = values.copy()
+    changed.ravel()[place] = new
+    return changed
 
 
-@njit(cache=True, nogil=True)
-def _pixel_pairs(
-    color: Float32, node_of_pixel: Labels, nodes: int, sharpness: float
-) -> tuple[Labels, Labels, Float32]:
-    rows, columns = node_of_pixel.shape
-    first, second = np.empty(4 * nodes, np.int32), np.empty(4 * nodes, np.int32)
-    weight = np.empty(4 * nodes, np.float32)
-    count = 0
-    for i in range(rows):
-        for j in range(columns):
-            if node_of_pixel[i, j] < 0:
+@njit(cache=True, parallel=True, nogil=True)
+def _pixel_weights(color: Float32, near: Mask, sharpness: float) -> Float32:
+    """Return (16) without lambda_0 between pixels of which one is among those given."""
+    rows, columns, _ = color.shape
+    weights = np.zeros((4, rows, columns), np.float32)
+    for i in prange(rows):
+        for k, (down, right) in enumerate(STEPS):
+            y = i + down
+            if y >= rows:
                 continue
-            for down, right in STEPS:
-                y, x = i + down, j + right
-                if y < rows and 0 <= x < columns and node_of_pixel[y, x] >= 0:
-                    first[count] = node_of_pixel[i, j]
-                    second[count] = node_of_pixel[y, x]
-                    weight[count] = _color_weight(color[i, j], color[y, x], sharpness)
-                    count += 1
-    return first[:count], second[:count], weight[:count]
+            for j in range(max(0, -right), columns - max(0, right)):
+                if near[i, j] or near[y, j + right]:
+                    weights[k, i, j] = _color_weight(color[i, j], color[y, j + right], sharpness)
+    return weights
 
 
 @njit(cache=True, nogil=True)
@@ -216,22 +206,21 @@ def _interpolated_change(
     cost: Float32,
     now: Labels,
     new: Labels,
-    place: NDArray[np.int64],
+    place: Places,
     row_position: Float64,
     column_position: Float64,
 ) -> Float64:
-    """Return D of the new label minus D of the present one, at each pixel."""
+    """Return D of the new label minus D of the present one, at some pixels."""
     change = np.zeros(len(place))
+    columns = len(column_position)
     for k in range(len(place)):
-        if now[k] == new[k]:
-            continue
-        y = row_position[place[k] // len(column_position)]
-        x = column_position[place[k] % len(column_position)]
+        row, column = place[k] // columns, place[k] % columns
+        y, x = row_position[row], column_position[column]
         top, left = int(y), int(x)
         for i in range(top, min(top + 2, cost.shape[0])):
             for j in range(left, min(left + 2, cost.shape[1])):
                 share = (1 - abs(y - i)) * (1 - abs(x - j))
-                change[k] += share * (cost[i, j, new[k]] - cost[i, j, now[k]])
+                change[k] += share * (cost[i, j, new[row, column]] - cost[i, j, now[row, column]])
     return change
 
 

@@ -37,6 +37,7 @@ STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 _STEP = "Choosing labels"
 _COARSEST = 2600
 _COARSE_STEP = 4
+_EVERYWHERE = 8
 _RELAXATION = np.float32(0.4)
 _LEAST_GAIN = 1e-6
 _NEVER = 1e12
@@ -90,7 +91,8 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
         start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns] if depth > 1 else labels
         # Each level has four times the nodes of the one before it.
         report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
-        labels = _improve(start, level_data, level_weights, report)
+        finest = 1 < depth == len(levels)
+        labels = _improve(start, level_data, level_weights, finest, report)
     progress(_STEP, 1.0)
     return labels
 
@@ -116,11 +118,14 @@ def solve_exactly(data: Float32, weights: Float32) -> Labels:
     return best.reshape(rows, columns)
 
 
-def _improve(start: Labels, data: Float32, weights: Float32, progress: Progress) -> Labels:
+def _improve(
+    start: Labels, data: Float32, weights: Float32, finest: bool, progress: Progress
+) -> Labels:
     """Lower the energy of labels that come from a coarser level.
 
     Nodes are offered their own best label and those beside them; then each label is offered
-    where it may win, which is near where it is.
+    where it may win, which is near where it is. On all grids but the finest, where it would take
+    long, some are offered everywhere.
     """
     labels = _fuse_labels(start, data.argmin(axis=2).astype(np.int32), data, weights)
     for beside in (minimum_filter, maximum_filter):
@@ -132,6 +137,9 @@ def _improve(start: Labels, data: Float32, weights: Float32, progress: Progress)
         labels = _expand_near(labels, sweep, free, data, weights, report)
         if sweep is _FAR:
             free = maximum_filter(labels != before, 7)
+        elif part == 0 and not finest:
+            for alpha in range(0, data.shape[2], _EVERYWHERE):
+                labels = expand(labels, alpha, data, weights)
     return labels
 
 

@@ -15,9 +15,10 @@ least squares.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
@@ -38,6 +39,7 @@ _REACH = 6
 _TEMPER = 0.6
 _LEAST_VARIANCE = 0.02**2
 _ROUNDS = 3
+_STEPS_A_ROUND = 3
 _TILE = 256
 _OVERLAP = 80
 """px; what is farther away has no influence."""
@@ -104,32 +106,69 @@ def _slices(start: NDArray[np.int64], stop: NDArray[np.int64]) -> Slices:
 def _solve(
     scale: Float64, curve: Float32, scales: Float64, form: sparse.csr_matrix, independent: Float64
 ) -> Float64:
-    """Minimise by reweighted least squares, from the labels' scales: (P,)."""
+    """Minimise by reweighted least squares, from the labels' scales: (P,).
+
+    The first system is factorised; the factors make the others, which differ little, easy.
+    """
+    solve = None
     for _ in range(_ROUNDS):
         mean, variance = _around(curve, scales, scale)
         evidence = independent / (variance + (scale - mean) ** 2)
-        system = (form + sparse.diags(evidence)).tocsc()
-        factors = splu(
-            system,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        scale = factors.solve(evidence * mean)
+        if solve is None:
+            solve = splu(
+                (form + sparse.diags(evidence)).tocsc(),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            ).solve
+            scale = solve(evidence * mean)
+        else:
+            scale = _conjugate_gradients(form, evidence, mean, scale, solve)
     return scale
 
 
+def _conjugate_gradients(
+    form: sparse.csr_matrix,
+    evidence: Float64,
+    mean: Float64,
+    scale: Float64,
+    precondition: Callable[[Float64], Float64],
+) -> Float64:
+    """Take some steps from a scale towards that where (form + evidence) scale = evidence mean."""
+    rest = evidence * (mean - scale) - form @ scale
+    direction = np.zeros_like(scale)
+    before = np.inf
+    for _ in range(_STEPS_A_ROUND):
+        better = precondition(rest)
+        after = np.sum(rest * better)
+        if after <= 0:
+            break
+        direction = better + after / before * direction
+        image = form @ direction + evidence * direction
+        length = after / np.sum(direction * image)
+        scale = scale + length * direction
+        rest = rest - length * image
+        before = after
+    return scale
+
+
+@njit(cache=True, parallel=True, nogil=True)
 def _around(curve: Float32, scales: Float64, scale: Float64) -> tuple[Float64, Float64]:
     """Return mean and variance of the tempered likelihood within 0.6 px of a scale: (P,) each."""
-    reach = min(_REACH, (len(scales) - 1) // 2)
-    middle = np.clip(np.rint(scale / LABEL_STEP).astype(int), reach, len(scales) - 1 - reach)
-    near = middle[:, None] + np.arange(-reach, reach + 1)
-    height = np.take_along_axis(curve, near, axis=1)
-    likelihood = np.exp(_TEMPER * (height - height.max(axis=1, keepdims=True)))
-    likelihood /= likelihood.sum(axis=1, keepdims=True)
-    mean = (likelihood * scales[near]).sum(axis=1)
-    variance = (likelihood * (scales[near] - mean[:, None]) ** 2).sum(axis=1)
-    return mean, variance + _LEAST_VARIANCE
+    count = len(scales)
+    reach = min(_REACH, (count - 1) // 2)
+    mean, variance = np.empty(len(scale)), np.empty(len(scale))
+    for place in prange(len(scale)):
+        middle = int(np.rint(scale[place] / LABEL_STEP))
+        first = min(max(middle - reach, 0), count - 1 - 2 * reach)
+        near = scales[first : first + 2 * reach + 1]
+        height = curve[place, first : first + 2 * reach + 1]
+        likelihood = np.exp(_TEMPER * (height - height.max()))
+        total = likelihood.sum()
+        mean[place] = (likelihood * near).sum() / total
+        spread = (likelihood * (near - mean[place]) ** 2).sum() / total
+        variance[place] = spread + _LEAST_VARIANCE
+    return mean, variance
 
 
 def _smoothness_form(
@@ -139,33 +178,55 @@ def _smoothness_form(
 
     `spacing` is the distance between windows relative to that for which the weights hold.
     """
+    columns = labels.shape[1]
+    own, *beside = _stencil(labels, weights, jump, _BEND_WEIGHT / spacing**2)
+    number = np.arange(labels.size)
+    first, second, value = [number], [number], [own.ravel()]
+    for step, coupling in zip((1, 2, columns, 2 * columns), beside, strict=True):
+        coupled = np.flatnonzero(coupling)
+        first += [coupled, coupled + step]
+        second += [coupled + step, coupled]
+        value += [coupling.ravel()[coupled]] * 2
+    places = np.concatenate(first), np.concatenate(second)
+    return sparse.csr_matrix((np.concatenate(value), places), shape=(labels.size, labels.size))
+
+
+@njit(cache=True, nogil=True)
+def _stencil(labels: Labels, weights: Float32, jump: int, bend_weight: float) -> Float64:
+    """Return the form's entries between a window and itself, and those 1 and 2 steps after it.
+
+    Along rows, then along columns: differences along diagonals were tried, and bumps got worse.
+    """
     rows, columns = labels.shape
-    number = np.arange(labels.size).reshape(labels.shape)
-    total = sparse.csr_matrix((labels.size, labels.size))
-    # Along rows and columns; differences along diagonals were tried, and bumps got worse.
-    for k, (down, right) in enumerate(STEPS[:2]):
-        step = down * columns + right
-        first = number[: rows - down, : columns - right].ravel()
-        likeness = np.maximum(weights[k].flat[first], _LEAST_WEIGHT)
-        likeness *= np.abs(labels.flat[first] - labels.flat[first + step]) < jump
-        total += _SLOPE_WEIGHT * _form(labels.size, likeness, (1, -1), (first, first + step))
-        along = np.zeros(labels.size, np.float32)
-        along[first] = likeness
-        middle = number[down : rows - down, right : columns - right].ravel()
-        both = np.minimum(along[middle - step], along[middle])
-        bend = _form(labels.size, both, (1, -2, 1), (middle - step, middle, middle + step))
-        total += _BEND_WEIGHT / spacing**2 * bend
-    return total
+    entries = np.zeros((5, rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            for k in range(2):
+                down, right = STEPS[k]
+                slope = _likeness(labels, weights, jump, k, i, j)
+                if slope == 0:
+                    continue
+                y, x = i + down, j + right
+                slope_weight = _SLOPE_WEIGHT * slope
+                entries[0, i, j] += slope_weight
+                entries[0, y, x] += slope_weight
+                entries[1 + 2 * k, i, j] -= slope_weight
+                bend = bend_weight * min(slope, _likeness(labels, weights, jump, k, y, x))
+                if bend == 0:
+                    continue
+                entries[0, i, j] += bend
+                entries[0, y, x] += 4 * bend
+                entries[0, y + down, x + right] += bend
+                entries[1 + 2 * k, i, j] -= 2 * bend
+                entries[1 + 2 * k, y, x] -= 2 * bend
+                entries[2 + 2 * k, i, j] += bend
+    return entries
 
 
-def _form(
-    size: int, weight: Float32, factors: tuple[int, ...], places: tuple[NDArray[np.int64], ...]
-) -> sparse.csr_matrix:
-    """Return the matrix of sum weight (sum factor x[place])^2."""
-    kept = weight > 0
-    count = int(kept.sum())
-    values = np.repeat(np.array(factors, np.float64), count)
-    columns = np.concatenate([place[kept] for place in places])
-    rows = np.tile(np.arange(count), len(factors))
-    difference = sparse.csr_matrix((values, (rows, columns)), shape=(count, size))
-    return difference.T @ sparse.diags(weight[kept].astype(np.float64)) @ difference
+@njit(cache=True, nogil=True)
+def _likeness(labels: Labels, weights: Float32, jump: int, k: int, i: int, j: int) -> float:
+    """Return how much a window and the next one should be alike: not at all across a jump."""
+    y, x = i + STEPS[k][0], j + STEPS[k][1]
+    if y >= labels.shape[0] or x >= labels.shape[1] or abs(labels[i, j] - labels[y, x]) >= jump:
+        return 0.0
+    return max(weights[k, i, j], _LEAST_WEIGHT)
