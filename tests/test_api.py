@@ -34,6 +34,7 @@ PUBLIC = {
     "estimate_shot_noise",
     "fit_report",
     "label_blur_map",
+    "labeling_energy",
     "psf_from_text",
     "segment_in_focus",
     "simulate_defocus",

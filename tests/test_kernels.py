@@ -18,7 +18,8 @@ from napari_defocus import simulate_defocus
 from napari_defocus.boundaries import (
     Blocks,
     _interpolated_change,
-    _pixel_edges,
+    _pixel_weights,
+    energy_of_pixels,
     interpolate_labels,
 )
 from napari_defocus.candidates import _pick_maxima
@@ -27,11 +28,15 @@ from napari_defocus.graphcut import (
     _RELAXATION,
     STEPS,
     Edges,
+    _change,
+    _flow,
+    _fusion_graph,
     _joined_weights,
+    _near,
     _relaxed,
     best_in_range,
+    energy_of,
     fuse,
-    labeling_energy,
 )
 from napari_defocus.likelihood import (
     noise_power,
@@ -39,6 +44,7 @@ from napari_defocus.likelihood import (
     quasi_log_likelihood,
     refine_maxima,
 )
+from napari_defocus.refinement import _around, _smoothness_form
 from napari_defocus.spectrum import SpectrumTable
 
 pytestmark = pytest.mark.kernel
@@ -210,12 +216,30 @@ def test_block_weights_are_sums_of_16(shape, stride):
     np.testing.assert_allclose(matrix(edges, rows * columns), expected, rtol=1e-5)
 
 
-def test_pixel_edges_are_16_between_the_pixels_given():
+def test_pixel_weights_are_16_where_a_pixel_is_given():
     color = np.random.default_rng(0).uniform(0.4, 0.6, (4, 5, 2)).astype(np.float32)
-    place = np.array([0, 1, 2, 5, 7, 8, 12, 13, 16, 19])
-    expected = color_matrix(color, 0.1, 20.0)[np.ix_(place, place)]
-    edges = _pixel_edges(color, place, 20.0, 0.1)
-    np.testing.assert_allclose(matrix(edges, len(place)), expected, rtol=1e-5)
+    near = np.zeros((4, 5), bool)
+    near[1:3, 2:4] = True
+    expected = color_matrix(color, 0.1, 20.0) * np.logical_or.outer(near.ravel(), near.ravel())
+    weights = np.float32(20) * _pixel_weights(color, near, np.float32(50))
+    np.testing.assert_allclose(matrix(Edges.of_grid(weights), 20), expected, rtol=1e-5)
+
+
+def test_energy_of_pixels_is_14():
+    rng = np.random.default_rng(0)
+    blocks = Blocks.around(window_centers(6, 3), window_centers(7, 3), (6, 7))
+    rows, columns = len(blocks.row_centers), len(blocks.column_centers)
+    cost = rng.random((rows, columns, 4)).astype(np.float32)
+    color = rng.uniform(0.4, 0.6, (6, 7, 3)).astype(np.float32)
+    labels = rng.integers(0, 4, (6, 7)).astype(np.int32)
+    at = np.meshgrid(*blocks.positions, indexing="ij")
+    expected = sum(
+        map_coordinates(cost[..., label], at, order=1)[labels == label].sum() for label in range(4)
+    )
+    jumps = np.abs(np.subtract.outer(labels.ravel(), labels.ravel()))
+    expected += np.sum(color_matrix(color, 0.1, 20.0) * jumps) / 2
+    found = energy_of_pixels(labels, cost, blocks, color, smoothness=20.0, color_sigma=0.1)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_weights_of_coarser_nodes_are_sums():
@@ -235,30 +259,93 @@ def test_relaxed_costs_are_the_least_with_a_price_for_the_distance():
     np.testing.assert_allclose(_relaxed(data, weights), expected, rtol=1e-5)
 
 
-def costs_and_edges(labels):
-    data = np.random.default_rng(1).uniform(0, 3, (4, labels)).astype(np.float32)
-    return data, Edges.of_grid(random_weights(2, 2))
+def costs_and_weights(labels):
+    data = np.random.default_rng(1).uniform(0, 3, (2, 2, labels)).astype(np.float32)
+    return data, random_weights(2, 2)
 
 
 def test_range_move_is_the_best_of_all_labelings_in_range():
-    data, edges = costs_and_edges(4)
+    data, weights = costs_and_weights(4)
     low, high = np.array([0, 1, 0, 2], np.int32), np.array([3, 2, 1, 2], np.int32)
     ranges = [range(a, b + 1) for a, b in zip(low, high, strict=True)]
-    least = min(labeling_energy(np.array(some), data, edges) for some in product(*ranges))
-    found = best_in_range(low, high, data, edges)
+    least = min(energy_of(np.reshape(some, (2, 2)), data, weights) for some in product(*ranges))
+    found = best_in_range(low, high, data.reshape(4, 4), Edges.of_grid(weights))
     assert ((low <= found) & (found <= high)).all()
-    np.testing.assert_allclose(labeling_energy(found, data, edges), least, rtol=1e-6)
+    np.testing.assert_allclose(energy_of(found.reshape(2, 2), data, weights), least, rtol=1e-6)
 
 
-@pytest.mark.parametrize("proposal", [[1, 1, 1, 1], [2, 3, 3, 3]])
+@pytest.mark.parametrize("proposal", [[1, 1, 1, 1], [2, 0, 3, 3]])
 def test_fusion_is_the_best_of_all_mixtures(proposal):
-    data, edges = costs_and_edges(4)
-    labels, proposal = np.array([0, 3, 2, 1], np.int32), np.array(proposal, np.int32)
-    change = data[np.arange(4), proposal] - data[np.arange(4), labels]
-    mixtures = (np.where(taken, proposal, labels) for taken in product([False, True], repeat=4))
-    least = min(labeling_energy(some, data, edges) for some in mixtures)
-    found = fuse(labels, proposal, change, edges)
-    np.testing.assert_allclose(labeling_energy(found, data, edges), least, rtol=1e-6)
+    data, weights = costs_and_weights(4)
+    labels, proposal = np.array([[0, 3], [2, 1]], np.int32), np.reshape(proposal, (2, 2))
+    place = np.flatnonzero(labels != proposal)
+    mixtures = (
+        np.where(np.reshape(taken, (2, 2)), proposal, labels)
+        for taken in product([False, True], repeat=4)
+    )
+    least = min(energy_of(some, data, weights) for some in mixtures)
+    change = _change(labels, proposal.astype(np.int32), place, data)
+    found = fuse(labels, proposal.astype(np.int32), place, change, weights)
+    np.testing.assert_allclose(energy_of(found, data, weights), least, rtol=1e-6)
+
+
+def test_flow_leaves_the_value_of_every_cut():
+    rng = np.random.default_rng(2)
+    labels, proposal = rng.permuted(np.arange(8).reshape(2, 2, 2), axis=0).astype(np.int32)
+    place, weights = np.arange(4), random_weights(2, 2)
+    change = rng.normal(0, 2, 4).astype(np.float32)
+    cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
+    assert (tail < head).all()
+    assert (np.diff(tail) >= 0).all()
+    left = cost.copy()
+    forth, back = _flow(left, tail, head, capacity)
+    assert min(forth.min(), back.min()) >= 0
+    for upper in product([0, 1], repeat=4):
+        side = np.array(upper)
+        rises = side[head] - side[tail]
+        before = cost @ side + capacity @ np.abs(rises)
+        after = left @ side + forth @ (rises > 0) + back @ (rises < 0)
+        np.testing.assert_allclose(after, before, atol=1e-4)
+
+
+def test_nodes_near_a_label_are_those_around_nodes_that_have_about_it():
+    labels = np.array([[0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [4, 5, 0, 0, 9]], np.int32)
+    free = np.ones((3, 5), bool)
+    assert _near(labels, 5, 0, 1, free).tolist() == [5, 6, 7, 10, 12]
+    assert _near(labels, 5, 1, 1, free).tolist() == [5, 6, 7, 10, 12]
+    assert _near(labels, 8, 1, 1, free).tolist() == [8, 9, 13, 14]
+    free[1] = False
+    assert _near(labels, 8, 1, 1, free).tolist() == [13, 14]
+    assert _near(labels, 7, 1, 1, free).tolist() == []
+
+
+def test_mean_and_variance_are_those_of_the_tempered_likelihood_nearby():
+    curve = np.random.default_rng(0).normal(0, 2, (5, 20)).astype(np.float32)
+    scales, scale = np.arange(20) / 10, np.array([0.0, 0.3, 0.98, 1.6, 1.9])
+    mean, variance = _around(curve, scales, scale)
+    for place, first in enumerate([0, 0, 4, 7, 7]):
+        near = scales[first : first + 13]
+        share = np.exp(0.6 * curve[place, first : first + 13])
+        share /= share.sum()
+        np.testing.assert_allclose(mean[place], share @ near, rtol=1e-5)
+        spread = share @ (near - share @ near) ** 2
+        np.testing.assert_allclose(variance[place], spread + 4e-4, rtol=1e-5)
+
+
+def test_smoothness_form_is_the_sum_of_weighted_squares():
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 6, (4, 5)).astype(np.int32)
+    weights = random_weights(4, 5)
+    values = rng.normal(size=(4, 5))
+    expected = 0.0
+    for axis, weight in ((1, weights[0][:, :-1]), (0, weights[1][:-1])):
+        alike = np.maximum(weight, 0.02) * (np.abs(np.diff(labels, axis=axis)) < 4)
+        first, last = (np.delete(alike, end, axis) for end in (-1, 0))
+        expected += np.sum(alike * np.diff(values, axis=axis) ** 2)
+        bends = np.diff(values, 2, axis=axis) ** 2
+        expected += 2e4 / 1.5**2 * np.sum(np.minimum(first, last) * bends)
+    form = _smoothness_form(labels, weights, 4, 1.5)
+    np.testing.assert_allclose(values.ravel() @ (form @ values.ravel()), expected, rtol=1e-6)
 
 
 def test_interpolated_change_is_bilinear():
@@ -266,12 +353,12 @@ def test_interpolated_change_is_bilinear():
     cost = rng.random((3, 4, 5)).astype(np.float32)
     rows, columns = np.linspace(0, 2, 7), np.linspace(0, 3, 8)
     place = np.arange(0, 56, 3)
-    now, new = rng.integers(0, 5, (2, len(place))).astype(np.int32)
-    at = np.array([rows[place // 8], columns[place % 8]])
+    now, new = rng.integers(0, 5, (2, 7, 8)).astype(np.int32)
+    at = np.meshgrid(rows, columns, indexing="ij")
     at_label = [map_coordinates(cost[..., label], at, order=1) for label in range(5)]
     expected = np.choose(new, at_label) - np.choose(now, at_label)
     change = _interpolated_change(cost, now, new, place, rows, columns)
-    np.testing.assert_allclose(change, expected, atol=1e-6)
+    np.testing.assert_allclose(change, expected.ravel()[place], atol=1e-6)
 
 
 def test_interpolated_labels_are_bilinear_among_those_alike():

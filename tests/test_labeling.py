@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from napari_defocus import (
     BlurCandidates,
@@ -11,7 +12,9 @@ from napari_defocus import (
     estimate_candidates,
     label_blur_map,
     labeling,
+    labeling_energy,
 )
+from napari_defocus.boundaries import Blocks
 from napari_defocus.labeling import KAPPA, artificial_likelihood, data_term
 
 TEXTURES = pytest.mark.parametrize("texture", ["grass", "gravel", "clouds"])
@@ -272,3 +275,74 @@ def test_data_term_of_the_curve_is_limited_and_0_at_its_maximum(ramp_picture):
 def test_blur_map_of_an_unknown_mode_is_a_value_error():
     with pytest.raises(ValueError, match="mode is 'fast'"):
         estimate_blur_map(np.zeros((60, 60)), mode="fast")
+
+
+@pytest.fixture(scope="module")
+def small(clouds, defocused):
+    picture = np.dstack([defocused(clouds[:45, :62], 3)] * 3)
+    return picture.astype(np.float32), estimate_candidates(picture)
+
+
+@pytest.mark.parametrize("mode", ["curve", "paper"])
+def test_energy_is_the_sum_over_pixels_and_their_pairs(clouds, defocused, mode):
+    picture = defocused(clouds[:45, :62], 3)
+    candidates = estimate_candidates(picture, mode=mode)
+    blur_map = np.random.default_rng(0).uniform(0, 8, (45, 62))
+    labels = np.rint(10 * blur_map).astype(int)
+    blocks = Blocks.around(candidates.row_centers, candidates.column_centers, (45, 62))
+    at = np.meshgrid(*blocks.positions, indexing="ij")
+    cost = np.stack(
+        [map_coordinates(each, at, order=1) for each in np.moveaxis(data_term(candidates), 2, 0)]
+    )
+    expected = np.take_along_axis(cost, labels[None], 0).sum()
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        here = (slice(0, 45 - down), slice(max(0, -right), 62 - max(0, right)))
+        there = (slice(down, 45), slice(max(0, right), 62 + min(0, right)))
+        weight = 7 * np.exp(-((picture[here] - picture[there]) ** 2) / (2 * 0.2**2))
+        expected += np.sum(weight * np.abs(labels[here] - labels[there]))
+    found = labeling_energy(blur_map, candidates, picture, smoothness=7, color_sigma=0.2)
+    assert isinstance(found, float)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_map_has_less_energy_than_others(small):
+    picture, candidates = small
+    blur_map = label_blur_map(candidates, picture)
+    least = labeling_energy(blur_map, candidates, picture)
+    noise = np.random.default_rng(0).normal(0, 0.3, blur_map.shape)
+    for other in (blur_map + noise, blur_map + 1, blur_map - 1, blur_map[::-1] + 0.5 * noise):
+        assert labeling_energy(other.clip(0, 8), candidates, picture) > least
+
+
+def test_energy_grows_with_smoothness_unless_the_map_is_flat(small):
+    picture, candidates = small
+    flat, rough = np.full((45, 62), 3.0), np.tile([2.0, 4.0], (45, 31))
+    energies = [
+        [labeling_energy(each, candidates, picture, smoothness=20 * factor) for factor in (1, 2)]
+        for each in (flat, rough)
+    ]
+    assert energies[0][0] == energies[0][1]
+    assert energies[1][0] < energies[1][1]
+
+
+@pytest.mark.parametrize(
+    ("blur_map", "settings", "words"),
+    [
+        (np.zeros((45, 61)), {}, r"blur_map has the shape \(45, 61\)"),
+        (np.zeros((45, 62, 1)), {}, "blur_map has the shape"),
+        (np.full((45, 62), 8.1), {}, "blur_map holds 8.1 to 8.1"),
+        (np.full((45, 62), -0.1), {}, "from 0 to 8 px"),
+        (np.full((45, 62), np.nan), {}, "blur_map holds nan"),
+        (np.zeros((45, 62)), {"smoothness": -1}, "smoothness is -1"),
+        (np.zeros((45, 62)), {"color_sigma": 0}, "color_sigma is 0"),
+    ],
+)
+def test_energy_of_what_is_no_map_is_a_value_error(small, blur_map, settings, words):
+    picture, candidates = small
+    with pytest.raises(ValueError, match=words):
+        labeling_energy(blur_map, candidates, picture, **settings)
+
+
+def test_energy_of_another_picture_is_a_value_error(small):
+    with pytest.raises(ValueError, match="these candidates are of a picture of 45 x 62 px"):
+        labeling_energy(np.zeros((45, 62)), small[1], np.zeros((50, 62)))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from napari_defocus.candidates import BlurCandidates, estimate_candidates
     from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
     from napari_defocus.confidence import confidence_map
-    from napari_defocus.labeling import estimate_blur_map, label_blur_map
+    from napari_defocus.labeling import estimate_blur_map, label_blur_map, labeling_energy
     from napari_defocus.layered import simulate_layered_defocus
     from napari_defocus.measured_psf import MeasuredPSF
     from napari_defocus.noise import ShotNoise, estimate_noise_variance, estimate_shot_noise
@@ -57,6 +57,7 @@ _HOME_OF = {
     "estimate_shot_noise": "noise",
     "fit_report": "spectrum",
     "label_blur_map": "labeling",
+    "labeling_energy": "labeling",
     "psf_from_text": "psf_text",
     "segment_in_focus": "segmentation",
     "simulate_defocus": "simulation",
@@ -87,6 +88,7 @@ __all__ = [
     "estimate_shot_noise",
     "fit_report",
     "label_blur_map",
+    "labeling_energy",
     "psf_from_text",
     "segment_in_focus",
     "simulate_defocus",

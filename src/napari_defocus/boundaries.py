@@ -216,12 +216,59 @@ def _interpolated_change(
     for k in range(len(place)):
         row, column = place[k] // columns, place[k] % columns
         y, x = row_position[row], column_position[column]
-        top, left = int(y), int(x)
-        for i in range(top, min(top + 2, cost.shape[0])):
-            for j in range(left, min(left + 2, cost.shape[1])):
-                share = (1 - abs(y - i)) * (1 - abs(x - j))
-                change[k] += share * (cost[i, j, new[row, column]] - cost[i, j, now[row, column]])
+        change[k] = _interpolated(cost, new[row, column], y, x)
+        change[k] -= _interpolated(cost, now[row, column], y, x)
     return change
+
+
+def energy_of_pixels(
+    pixels: Labels,
+    cost: Float32,
+    blocks: Blocks,
+    color: Float32,
+    *,
+    smoothness: float,
+    color_sigma: float,
+) -> float:
+    """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
+    sharpness = np.float32(0.5 / color_sigma**2)
+    evidence, jumps = _energy_of_rows(pixels, cost, color, *blocks.positions, sharpness)
+    return float(evidence.sum() + smoothness * jumps.sum())
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _energy_of_rows(
+    pixels: Labels,
+    cost: Float32,
+    color: Float32,
+    row_position: Float64,
+    column_position: Float64,
+    sharpness: float,
+) -> tuple[Float64, Float64]:
+    """Return the sums of D and of weighted differences of labels that each row begins."""
+    rows, columns = pixels.shape
+    evidence, jumps = np.zeros(rows), np.zeros(rows)
+    for i in prange(rows):
+        for j in range(columns):
+            label = pixels[i, j]
+            evidence[i] += _interpolated(cost, label, row_position[i], column_position[j])
+            for down, right in STEPS:
+                y, x = i + down, j + right
+                if y < rows and 0 <= x < columns and pixels[y, x] != label:
+                    weight = _color_weight(color[i, j], color[y, x], sharpness)
+                    jumps[i] += weight * abs(pixels[y, x] - label)
+    return evidence, jumps
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _interpolated(cost: Float32, label: int, y: float, x: float) -> float:
+    """Return D of a label between the windows."""
+    top, left = int(y), int(x)
+    value = 0.0
+    for i in range(top, min(top + 2, cost.shape[0])):
+        for j in range(left, min(left + 2, cost.shape[1])):
+            value += (1 - abs(y - i)) * (1 - abs(x - j)) * cost[i, j, label]
+    return value
 
 
 def interpolate_labels(

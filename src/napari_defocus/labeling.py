@@ -11,7 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.boundaries import Blocks, interpolate_labels, label_pixels
+from napari_defocus.boundaries import (
+    Blocks,
+    energy_of_pixels,
+    interpolate_labels,
+    label_pixels,
+)
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.image import PreparedImage, prepare_image
@@ -236,6 +241,79 @@ def estimate_blur_map(
         color_sigma=color_sigma,
         intensity_range=intensity_range,
         progress=within(progress, 0.4, 1.0),
+    )
+
+
+def labeling_energy(
+    blur_map: ArrayLike,
+    candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    smoothness: float = MapSettings.smoothness,
+    color_sigma: float = MapSettings.color_sigma,
+    intensity_range: tuple[float, float] | None = None,
+) -> float:
+    """Evaluate what `label_blur_map` minimises, (14), for any map, pixel by pixel.
+
+    Every pixel pays the data term of its label, interpolated between the windows, and every pair
+    of 8-neighbours the difference of their labels times the weight (16). Of two maps of one
+    picture, the one with less energy is the better compromise, for these candidates.
+
+    Parameters
+    ----------
+    blur_map : (H, W) array_like
+        Blur scale in px at every pixel; rounded to labels 0.1 px apart.
+    candidates, image, smoothness, color_sigma, intensity_range
+        As in `label_blur_map`.
+
+    Returns
+    -------
+    float
+        In units of 1 / 12 of log-likelihood; of log-likelihood in the mode "paper".
+
+    Raises
+    ------
+    TypeError
+        If `image` has no real dtype.
+    ValueError
+        If `blur_map` has not the shape of the picture, or values outside the scales of
+        `candidates`, and as in `label_blur_map`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_candidates, labeling_energy, simulate_defocus
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> candidates = estimate_candidates(picture)
+    >>> right, wrong = (
+    ...     labeling_energy(np.full((100, 100), r), candidates, picture) for r in (3, 4)
+    ... )
+    >>> right < wrong
+    True
+    """
+    check_weights(smoothness, color_sigma)
+    scales = np.asarray(blur_map)
+    if scales.shape != candidates.image_shape:
+        raise ValueError(
+            f"blur_map has the shape {scales.shape}; these candidates are of a picture of the "
+            f"shape {candidates.image_shape}"
+        )
+    largest = float(candidates.scales[-1])
+    labels = np.rint(scales / LABEL_STEP)
+    if not ((labels >= 0) & (labels < len(candidates.scales))).all():
+        raise ValueError(
+            f"blur_map holds {scales.min()} to {scales.max()}; it takes scales from 0 to "
+            f"{largest:g} px, those of the candidates"
+        )
+    picture = picture_of(candidates, image, intensity_range)
+    return energy_of_pixels(
+        labels.astype(np.int32),
+        data_term(candidates),
+        Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape),
+        picture.color,
+        smoothness=smoothness,
+        color_sigma=color_sigma,
     )
 
 
