@@ -18,6 +18,7 @@ from napari_defocus.graphcut import (
     expand,
     expand_until_settled,
     fuse,
+    improve,
     minimize_energy,
     solve_exactly,
 )
@@ -206,6 +207,26 @@ def test_labels_of_a_real_blur_map_are_within_a_thousandth_of_the_optimum(
     data = data_term(candidates) * blocks.area[..., None]
     weights = blocks.edge_weights(picture.reshape(160, 160, -1), 0.1, 20.0)
     assert excess(minimize(data, weights), data, weights) < 1e-3
+
+
+@pytest.mark.parametrize("everywhere", [False, True])
+@pytest.mark.parametrize("strength", [0.1, 3.0])
+def test_improved_labels_have_less_energy_and_what_is_best_stays(strength, everywhere):
+    data, weights = rough_problem(1, strength)
+    start = np.random.default_rng(0).integers(0, 20, (24, 24)).astype(np.int32)
+    found = improve(start, data, weights, everywhere=everywhere)
+    assert energy_of(found, data, weights) < 0.8 * energy_of(start, data, weights)
+    best = solve_exactly(data, weights)
+    found = improve(best, data, weights, everywhere=everywhere)
+    energies = [energy_of(each, data, weights) for each in (found, best)]
+    np.testing.assert_allclose(*energies, rtol=1e-6)
+
+
+def test_settled_expansions_from_given_labels_end_no_higher():
+    data, weights = rough_problem(2, 1.0)
+    start = minimize_energy(data, weights)
+    settled = expand_until_settled(data, weights, start=start)
+    assert energy_of(settled, data, weights) <= energy_of(start, data, weights) * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("minimize", [minimize_energy, expand_until_settled])

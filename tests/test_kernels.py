@@ -18,9 +18,9 @@ from napari_defocus import simulate_defocus
 from napari_defocus.boundaries import (
     Blocks,
     _interpolated_change,
-    _pixel_weights,
     energy_of_pixels,
     interpolate_labels,
+    pixel_weights,
 )
 from napari_defocus.candidates import _pick_maxima
 from napari_defocus.gabor import window_centers
@@ -221,7 +221,7 @@ def test_pixel_weights_are_16_where_a_pixel_is_given():
     near = np.zeros((4, 5), bool)
     near[1:3, 2:4] = True
     expected = color_matrix(color, 0.1, 20.0) * np.logical_or.outer(near.ravel(), near.ravel())
-    weights = np.float32(20) * _pixel_weights(color, near, np.float32(50))
+    weights = pixel_weights(color, near, 0.1, 20.0)
     np.testing.assert_allclose(matrix(Edges.of_grid(weights), 20), expected, rtol=1e-5)
 
 

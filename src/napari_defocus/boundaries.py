@@ -162,9 +162,9 @@ def label_pixels(
     beside_jump = maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
     if not beside_jump.any():
         return pixels
-    free = blocks.spread(binary_dilation(beside_jump, iterations=-(-reach // blocks.side)))
-    weights = _pixel_weights(color, free, np.float32(0.5 / color_sigma**2))
-    weights *= np.float32(smoothness)
+    near = binary_dilation(beside_jump, iterations=-(-reach // blocks.side))
+    free = blocks.spread(near).astype(bool)
+    weights = pixel_weights(color, free, color_sigma, smoothness)
     left = reach
     while left > 0:
         for offer in (grey_erosion, grey_dilation):
@@ -185,9 +185,28 @@ def _changed(values: Labels, place: Places, new: Labels) -> Labels:
     return changed
 
 
+def pixel_weights(color: Float32, near: Mask, color_sigma: float, smoothness: float) -> Float32:
+    """Return lambda of (16) between pixels of which at least one is among those given.
+
+    Parameters
+    ----------
+    color : (H, W, channels) float32 ndarray
+    near : (H, W) bool ndarray
+    color_sigma, smoothness : float
+
+    Returns
+    -------
+    (4, H, W) float32 ndarray
+        Between a pixel and its neighbour at each of `STEPS`, else 0.
+    """
+    weights = _pixel_weights(color, near, np.float32(0.5 / color_sigma**2))
+    weights *= np.float32(smoothness)
+    return weights
+
+
 @njit(cache=True, parallel=True, nogil=True)
 def _pixel_weights(color: Float32, near: Mask, sharpness: float) -> Float32:
-    """Return (16) without lambda_0 between pixels of which one is among those given."""
+    """Return the weights of `pixel_weights` without lambda_0."""
     rows, columns, _ = color.shape
     weights = np.zeros((4, rows, columns), np.float32)
     for i in prange(rows):

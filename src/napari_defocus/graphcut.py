@@ -91,8 +91,8 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
         start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns] if depth > 1 else labels
         # Each level has four times the nodes of the one before it.
         report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
-        finest = 1 < depth == len(levels)
-        labels = _improve(start, level_data, level_weights, finest, report)
+        coarse = depth < len(levels) or depth == 1
+        labels = improve(start, level_data, level_weights, everywhere=coarse, progress=report)
     progress(_STEP, 1.0)
     return labels
 
@@ -118,14 +118,31 @@ def solve_exactly(data: Float32, weights: Float32) -> Labels:
     return best.reshape(rows, columns)
 
 
-def _improve(
-    start: Labels, data: Float32, weights: Float32, finest: bool, progress: Progress
+def improve(
+    start: Labels,
+    data: Float32,
+    weights: Float32,
+    *,
+    everywhere: bool = False,
+    progress: Progress = silent,
 ) -> Labels:
-    """Lower the energy of labels that come from a coarser level.
+    """Lower the energy of labels, such as those of a coarser level.
 
     Nodes are offered their own best label and those beside them; then each label is offered
-    where it may win, which is near where it is. On all grids but the finest, where it would take
-    long, some are offered everywhere.
+    where it may win, which is near where it is.
+
+    Parameters
+    ----------
+    start : (R, C) int32 ndarray
+    data, weights : ndarray
+        As for `minimize_energy`.
+    everywhere : bool, optional
+        Offer some labels to all nodes, too, which takes long on fine grids.
+    progress : callable, optional
+
+    Returns
+    -------
+    (R, C) int32 ndarray
     """
     labels = _fuse_labels(start, data.argmin(axis=2).astype(np.int32), data, weights)
     for beside in (minimum_filter, maximum_filter):
@@ -137,7 +154,7 @@ def _improve(
         labels = _expand_near(labels, sweep, free, data, weights, report)
         if sweep is _FAR:
             free = maximum_filter(labels != before, 7)
-        elif part == 0 and not finest:
+        elif part == 0 and everywhere:
             for alpha in range(0, data.shape[2], _EVERYWHERE):
                 labels = expand(labels, alpha, data, weights)
     return labels
@@ -183,14 +200,16 @@ def _near(labels: Labels, alpha: int, reach: int, grow: int, free: Mask) -> Plac
     return place[:count].copy()
 
 
-def expand_until_settled(data: Float32, weights: Float32, progress: Progress = silent) -> Labels:
+def expand_until_settled(
+    data: Float32, weights: Float32, progress: Progress = silent, start: Labels | None = None
+) -> Labels:
     """Find labels by expansion moves over all labels alone, until none lowers the energy.
 
-    The paper's way, from each node's best label; slower than `minimize_energy` and a reference
-    for it. Parameters and result are the same.
+    The paper's way, from each node's best label unless others are given; slower than
+    `minimize_energy` and a reference for it. The other parameters and the result are the same.
     """
     count = data.shape[2]
-    labels = data.argmin(axis=2).astype(np.int32)
+    labels = data.argmin(axis=2).astype(np.int32) if start is None else start
     before, after = np.inf, energy_of(labels, data, weights)
     left = 1.0  # of the bar: nobody knows how many rounds there will be
     while after < before - _LEAST_GAIN * abs(after):

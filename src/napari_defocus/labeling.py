@@ -32,13 +32,17 @@ Float32 = NDArray[np.float32]
 KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
 """The kernel that widens candidates into an artificial likelihood (Section III-B)."""
 
+JUMP = 4
+"""The smallest difference of labels that counts as a discontinuity of the blur."""
+
+REACH = 6
+"""How far, in px, a discontinuity may be moved off the blocks at once."""
+
 LIKELIHOOD_FLOOR = 1e-24
 """The artificial likelihood of scales that no candidate reaches, instead of 0."""
 
 _CURVE_DEPTH = np.float32(15)
 _CURVE_WEIGHT = np.float32(12)
-_JUMP = 4
-_REACH = 6
 _LEAST_SMOOTHNESS = 1e-12
 
 
@@ -158,8 +162,8 @@ def label_blur_map(
         picture.color,
         smoothness=smoothness,
         color_sigma=color_sigma,
-        jump=_JUMP,
-        reach=_REACH,
+        jump=JUMP,
+        reach=REACH,
         progress=within(progress, 0.7, 0.9),
     )
     scales = np.float32(LABEL_STEP) * labels
@@ -167,10 +171,10 @@ def label_blur_map(
         pairs = blocks.edge_weights(np.zeros_like(picture.color), color_sigma, 1.0)
         likeness = weights / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
         scales = refine_labels(
-            candidates, labels, likeness, _JUMP, smoothness, within(progress, 0.9, 1.0)
+            candidates, labels, likeness, JUMP, smoothness, within(progress, 0.9, 1.0)
         )
     progress("Smoothing out the steps", 1.0)
-    return interpolate_labels(scales, labels, pixels, blocks, _JUMP)
+    return interpolate_labels(scales, labels, pixels, blocks, JUMP)
 
 
 def estimate_blur_map(

@@ -1,0 +1,177 @@
+"""How near the least energy the labels are, on real photographs.
+
+    python benchmarks/energy.py --data FOLDER_OF_PHOTOGRAPHS
+
+Prints a Markdown table: the energy (14) of our labels on the grid of windows, in percent above
+that of expansion moves over all labels until none lowers it (below it where negative), and the
+seconds that both take. --exact adds how far it is above the least energy of all, from one cut over
+all labels, which takes a minute or more on 500 x 500 px and much memory: with --side.
+
+--full compares pixels instead: the labels that the map is made from, with those of expansion moves
+over all pixels from these labels and from each pixel's own best; and what it takes to bring ours
+there by the moves of the grid. It takes minutes and about 1.5 kB a pixel.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+from pictures import middle
+
+from napari_defocus import BlurCandidates, estimate_candidates
+from napari_defocus.boundaries import Blocks, label_pixels, pixel_weights
+from napari_defocus.graphcut import (
+    energy_of,
+    expand_until_settled,
+    improve,
+    minimize_energy,
+    solve_exactly,
+)
+from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.labeling import JUMP, REACH, data_term
+from napari_defocus.settings import MapSettings
+
+SMOOTHNESS, COLOR_SIGMA = MapSettings.smoothness, MapSettings.color_sigma
+
+
+def main() -> None:
+    arguments = parsed_arguments()
+    if arguments.full:
+        print("| photograph | labels of blocks % | of pixels % | + moves % | s | reference s |")
+        print("|---" * 6 + "|")
+    else:
+        print("| photograph | nodes | ours % | exact % | ours s | reference s | exact s |")
+        print("|---" * 7 + "|")
+    row = full_row if arguments.full else grid_row
+    for path in sorted(arguments.data.glob("*.jpg")):
+        if arguments.names and path.stem not in arguments.names:
+            continue
+        picture = imageio.imread(path)[..., :3]
+        if picture.size > 3 * 2e6:
+            continue
+        if arguments.side:
+            picture = middle(picture, arguments.side)
+        print(f"| {path.stem} | " + row(Problem.of(picture), arguments.exact) + " |", flush=True)
+
+
+def parsed_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    shared = Path(__file__).parents[2] / "shared" / "data" / "photos"
+    parser.add_argument("names", nargs="*", help="names of photographs, without .jpg; all of them")
+    parser.add_argument("--data", type=Path, default=shared, help="folder of photographs")
+    parser.add_argument("--side", type=int, help="only the middle of each, so many px wide")
+    parser.add_argument("--exact", action="store_true", help="find the least energy, too")
+    parser.add_argument("--full", action="store_true", help="compare pixels, not windows")
+    return parser.parse_args()
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Costs and weights of one picture."""
+
+    candidates: BlurCandidates
+    picture: PreparedImage
+    blocks: Blocks
+    cost: np.ndarray
+
+    @classmethod
+    def of(cls, picture: np.ndarray) -> "Problem":
+        candidates = estimate_candidates(picture)
+        prepared = prepare_image(picture, None)
+        blocks = Blocks.around(
+            candidates.row_centers, candidates.column_centers, candidates.image_shape
+        )
+        return cls(candidates, prepared, blocks, data_term(candidates))
+
+    def of_windows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return costs and weights of the grid of windows."""
+        weights = self.blocks.edge_weights(self.picture.color, COLOR_SIGMA, SMOOTHNESS)
+        return self.cost * self.blocks.area[..., None], weights
+
+    def of_pixels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return costs and weights of all pixels; the costs are interpolated."""
+        cost = self.cost
+        for axis, position in enumerate(self.blocks.positions):
+            low = np.minimum(position.astype(int), max(cost.shape[axis] - 2, 0))
+            share = np.expand_dims(position - low, (1, 2) if axis == 0 else (0, 2))
+            high = np.minimum(low + 1, cost.shape[axis] - 1)
+            mean = (1 - share) * cost.take(low, axis) + share * cost.take(high, axis)
+            cost = mean.astype(np.float32)
+        everywhere = np.ones(self.picture.shape, bool)
+        return cost, pixel_weights(self.picture.color, everywhere, COLOR_SIGMA, SMOOTHNESS)
+
+
+def grid_row(problem: Problem, exact: bool) -> str:
+    data, weights = problem.of_windows()
+    minimize_energy(data[:40, :40], weights_within(weights, 40))  # compiled
+    ours, seconds = energy_and_time(minimize_energy, data, weights)
+    reference, reference_seconds = energy_and_time(expand_until_settled, data, weights)
+    least, exact_seconds = energy_and_time(solve_exactly, data, weights) if exact else (0, 0)
+    return " | ".join(
+        [
+            f"{data.shape[0]} x {data.shape[1]}",
+            f"{above(ours, reference):+.3f}",
+            f"{above(ours, least):.3f}" if exact else "",
+            f"{seconds:.2f}",
+            f"{reference_seconds:.1f}",
+            f"{exact_seconds:.0f}" if exact else "",
+        ]
+    )
+
+
+def full_row(problem: Problem, exact: bool) -> str:
+    data, weights = problem.of_pixels()
+    labels = minimize_energy(*problem.of_windows())
+    pixels = label_pixels(
+        labels,
+        problem.cost,
+        problem.blocks,
+        problem.picture.color,
+        smoothness=SMOOTHNESS,
+        color_sigma=COLOR_SIGMA,
+        jump=JUMP,
+        reach=REACH,
+    )
+    began = time.perf_counter()
+    improved = improve(pixels, data, weights)
+    seconds = time.perf_counter() - began
+    began = time.perf_counter()
+    settled = [expand_until_settled(data, weights, start=start) for start in (pixels, None)]
+    reference_seconds = time.perf_counter() - began
+    reference = min(energy_of(each, data, weights) for each in settled)
+    gaps = (
+        above(energy_of(each, data, weights), reference)
+        for each in (problem.blocks.spread(labels), pixels, improved)
+    )
+    return " | ".join(
+        [f"{gap:+.3f}" for gap in gaps] + [f"{seconds:.1f}", f"{reference_seconds:.0f}"]
+    )
+
+
+def weights_within(weights: np.ndarray, side: int) -> np.ndarray:
+    """Return the weights of a corner of the grid, without those that lead out of it."""
+    inner = weights[:, :side, :side].copy()
+    inner[1:, -1] = 0
+    inner[[0, 2], :, -1] = 0
+    return inner
+
+
+def energy_and_time(
+    solve: Callable[..., np.ndarray], data: np.ndarray, weights: np.ndarray
+) -> tuple[float, float]:
+    began = time.perf_counter()
+    labels = solve(data, weights)
+    return energy_of(labels, data, weights), time.perf_counter() - began
+
+
+def above(energy: float, reference: float) -> float:
+    """Return how far an energy is above another, in percent."""
+    return 100 * (energy / reference - 1)
+
+
+if __name__ == "__main__":
+    main()
