@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import maxflow
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -91,7 +91,7 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
         start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns] if depth > 1 else labels
         # Each level has four times the nodes of the one before it.
         report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
-        coarse = depth < len(levels) or depth == 1
+        coarse = depth < len(levels)
         labels = improve(start, level_data, level_weights, everywhere=coarse, progress=report)
     progress(_STEP, 1.0)
     return labels
@@ -129,7 +129,8 @@ def improve(
     """Lower the energy of labels, such as those of a coarser level.
 
     Nodes are offered their own best label and those beside them; then each label is offered
-    where it may win, which is near where it is.
+    where it may win, which is near where it is: at first nearby, then farther, and again nearby
+    where that changed anything.
 
     Parameters
     ----------
@@ -137,7 +138,7 @@ def improve(
     data, weights : ndarray
         As for `minimize_energy`.
     everywhere : bool, optional
-        Offer some labels to all nodes, too, which takes long on fine grids.
+        Offer some labels to all nodes instead of farther, which takes long on fine grids.
     progress : callable, optional
 
     Returns
@@ -148,16 +149,15 @@ def improve(
     for beside in (minimum_filter, maximum_filter):
         labels = _fuse_labels(labels, beside(labels, 3), data, weights)
     free = np.ones(labels.shape, bool)
-    for part, sweep in enumerate((_CLOSE, _FAR, _CLOSE)):
-        report = within(progress, part / 3, (part + 1) / 3)
-        before = labels
-        labels = _expand_near(labels, sweep, free, data, weights, report)
-        if sweep is _FAR:
-            free = maximum_filter(labels != before, 7)
-        elif part == 0 and everywhere:
-            for alpha in range(0, data.shape[2], _EVERYWHERE):
-                labels = expand(labels, alpha, data, weights)
-    return labels
+    labels = _expand_near(labels, _CLOSE, free, data, weights, within(progress, 0, 0.3))
+    before = labels
+    if everywhere:
+        for alpha in range(0, data.shape[2], _EVERYWHERE):
+            labels = expand(labels, alpha, data, weights)
+    else:
+        labels = _expand_near(labels, _FAR, free, data, weights, within(progress, 0.3, 0.8))
+    free = maximum_filter(labels != before, 7)
+    return _expand_near(labels, _CLOSE, free, data, weights, within(progress, 0.8, 1))
 
 
 def _expand_near(
@@ -260,7 +260,7 @@ def _coarser(data: Float32, weights: Float32) -> tuple[Float32, Float32]:
     return joined, _joined_weights(weights, row_block, column_block)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _relaxed(data: Float32, weights: Float32) -> Float32:
     """Let each node leave the common label at the price of its own edges.
 
@@ -269,7 +269,7 @@ def _relaxed(data: Float32, weights: Float32) -> Float32:
     """
     rows, columns, count = data.shape
     relaxed = data.copy()
-    for i in range(rows):
+    for i in prange(rows):
         for j in range(columns):
             price = _RELAXATION * weights[:, i, j].sum()
             cost = relaxed[i, j]
