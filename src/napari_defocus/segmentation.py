@@ -18,7 +18,11 @@ from napari_defocus.settings import (
 
 Float32 = NDArray[np.float32]
 
+FREE, IN_FOCUS, BLURRED = 0, 1, 2
+"""What a pixel of `seeds` says."""
+
 _CURVE_WEIGHT = np.float32(4)
+_NEVER = np.float32(1e12)
 
 
 def segment_in_focus(
@@ -28,6 +32,7 @@ def segment_in_focus(
     threshold: float = MaskSettings.threshold,
     smoothness: float = MaskSettings.smoothness,
     color_sigma: float = MaskSettings.color_sigma,
+    seeds: ArrayLike | None = None,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.uint8]:
@@ -35,7 +40,7 @@ def segment_in_focus(
 
     Minimises (17): being in focus costs what the best scale up to `threshold` costs, being
     blurred what the best scale above it costs (18), and a boundary costs least along edges of
-    colour (16).
+    colour (16). Pixels of `seeds` are as they say, and draw those around them along.
 
     Parameters
     ----------
@@ -49,6 +54,8 @@ def segment_in_focus(
         lambda_0 of (16) for a boundary between two pixels. Larger masks have fewer parts.
     color_sigma : float, optional
         sigma_lambda of (16), intensities in [0, 1].
+    seeds : (H, W) integer array_like, optional
+        What is known: 1 in focus, 2 blurred, 0 not known. The mask is never otherwise there.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
     progress : callable, optional
@@ -62,11 +69,12 @@ def segment_in_focus(
     Raises
     ------
     TypeError
-        If `image` has no real dtype.
+        If `image` has no real dtype, or `seeds` no integers.
     ValueError
         If `image` is no picture (see `estimate_candidates`) or another one than that of
         `candidates`, if `threshold` is not within the scales of `candidates`, `smoothness`
-        negative or `color_sigma` not positive.
+        negative or `color_sigma` not positive, or if `seeds` has another shape than the
+        picture or other values.
 
     Examples
     --------
@@ -79,13 +87,17 @@ def segment_in_focus(
     """
     check_weights(smoothness, color_sigma)
     check_threshold(threshold, float(candidates.scales[-1]))
+    fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, candidates.image_shape))
     picture = picture_of(candidates, image, intensity_range)
     step = "Separating focus from blur"
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = focus_cost(candidates, threshold)
     weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
     progress(step, 0.0)
-    labels = solve_exactly(cost * blocks.area[..., None], weights)
+    block_cost = cost * blocks.area[..., None]
+    if fixed is not None:
+        block_cost += _seed_cost(fixed, blocks)
+    labels = solve_exactly(block_cost, weights)
     progress(step, 0.5)
     mask = label_pixels(
         labels,
@@ -96,10 +108,55 @@ def segment_in_focus(
         color_sigma=color_sigma,
         jump=1,
         reach=candidates.window // 2,
+        fixed=fixed,
         progress=within(progress, 0.5, 1.0, step),
     )
     progress(step, 1.0)
     return mask.astype(np.uint8)
+
+
+def checked_seeds(seeds: ArrayLike, shape: tuple[int, int]) -> NDArray[np.integer]:
+    """Check seeds against the height and width of their picture.
+
+    Raises
+    ------
+    TypeError
+        If they are no integers.
+    ValueError
+        If they have another shape, or values beside 0, 1 and 2.
+    """
+    try:
+        array = np.asarray(seeds)
+    except ValueError as error:
+        raise ValueError(f"seeds is no array: {error}") from None
+    if array.dtype.kind not in "ui":
+        raise TypeError(f"seeds has dtype {array.dtype}; it takes integers")
+    if array.shape != tuple(shape):
+        raise ValueError(
+            f"seeds has shape {array.shape}; it takes the height and width of the picture, "
+            f"{tuple(shape)}"
+        )
+    wrong = array[(array < FREE) | (array > BLURRED)]
+    if wrong.size:
+        raise ValueError(
+            f"seeds has the value {wrong[0]}; it takes {FREE} (not known), {IN_FOCUS} (in focus) "
+            f"and {BLURRED} (blurred)"
+        )
+    return array
+
+
+def _fixed_labels(seeds: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Return the label of the cut that each pixel must have, -1 where it is free."""
+    return np.array([-1, 1, 0], np.int32)[seeds]
+
+
+def _seed_cost(fixed: NDArray[np.int32], blocks: Blocks) -> Float32:
+    """Return what binds blocks to most of their seeds, as `focus_cost`: (R, C, 2).
+
+    As many seeds of both kinds bind a block to none; they act on its pixels.
+    """
+    surplus = blocks.count(fixed == 1) - blocks.count(fixed == 0)
+    return _NEVER * np.stack([surplus > 0, surplus < 0], axis=2).astype(np.float32)
 
 
 def focus_cost(candidates: BlurCandidates, threshold: float) -> Float32:
