@@ -333,7 +333,7 @@ def _seeds(path: Path | None, picture: NDArray[Any]) -> NDArray[Any] | None:
     if path is None:
         return None
     from napari_defocus.files import read_picture
-    from napari_defocus.segmentation import checked_seeds
+    from napari_defocus.seeds import checked_seeds
 
     return checked_seeds(read_picture(path), picture.shape[:2])
 
@@ -341,8 +341,11 @@ def _seeds(path: Path | None, picture: NDArray[Any]) -> NDArray[Any] | None:
 def _seeds_facts(path: Path | None, seeds: NDArray[Any] | None) -> dict[str, Any]:
     if seeds is None:
         return {"seeds": None}
-    in_focus, blurred = int((seeds == 1).sum()), int((seeds == 2).sum())
-    return {"seeds": {"file": str(path), "in_focus_px": in_focus, "blurred_px": blurred}}
+    from napari_defocus.seeds import BLURRED, IN_FOCUS
+
+    known = {"in_focus_px": int((seeds == IN_FOCUS).sum())}
+    known["blurred_px"] = int((seeds == BLURRED).sum())
+    return {"seeds": {"file": str(path), **known}}
 
 
 def _shares(progress: Progress) -> tuple[Progress, Progress]:

@@ -10,6 +10,7 @@ from napari_defocus.candidates import BlurCandidates
 from napari_defocus.graphcut import solve_exactly
 from napari_defocus.labeling import data_term, limited_depth, picture_of
 from napari_defocus.progress import Progress, silent, within
+from napari_defocus.seeds import checked_seeds
 from napari_defocus.settings import (
     MaskSettings,
     check_threshold,
@@ -17,9 +18,6 @@ from napari_defocus.settings import (
 )
 
 Float32 = NDArray[np.float32]
-
-FREE, IN_FOCUS, BLURRED = 0, 1, 2
-"""What a pixel of `seeds` says."""
 
 _CURVE_WEIGHT = np.float32(4)
 _NEVER = np.float32(1e12)
@@ -113,36 +111,6 @@ def segment_in_focus(
     )
     progress(step, 1.0)
     return mask.astype(np.uint8)
-
-
-def checked_seeds(seeds: ArrayLike, shape: tuple[int, int]) -> NDArray[np.integer]:
-    """Check seeds against the height and width of their picture.
-
-    Raises
-    ------
-    TypeError
-        If they are no integers.
-    ValueError
-        If they have another shape, or values beside 0, 1 and 2.
-    """
-    try:
-        array = np.asarray(seeds)
-    except ValueError as error:
-        raise ValueError(f"seeds is no array: {error}") from None
-    if array.dtype.kind not in "ui":
-        raise TypeError(f"seeds has dtype {array.dtype}; it takes integers")
-    if array.shape != tuple(shape):
-        raise ValueError(
-            f"seeds has shape {array.shape}; it takes the height and width of the picture, "
-            f"{tuple(shape)}"
-        )
-    wrong = array[(array < FREE) | (array > BLURRED)]
-    if wrong.size:
-        raise ValueError(
-            f"seeds has the value {wrong[0]}; it takes {FREE} (not known), {IN_FOCUS} (in focus) "
-            f"and {BLURRED} (blurred)"
-        )
-    return array
 
 
 def _fixed_labels(seeds: NDArray[np.integer]) -> NDArray[np.int32]:
