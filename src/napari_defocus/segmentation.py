@@ -1,4 +1,9 @@
-"""In focus or not, at every pixel: one binary cut, (17) and (18)."""
+"""In focus or not, at every pixel: binary cuts, (17) and (18).
+
+The border between blocks cannot follow the picture's edges, so that it crosses more and is dearer
+than that between pixels. Blocks therefore pay a share of the smoothness, or small things would
+not be worth it; then pixels pay in full, and the mask shrinks to the picture's edges.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +25,7 @@ from napari_defocus.settings import (
 Float32 = NDArray[np.float32]
 
 _CURVE_WEIGHT = np.float32(4)
+_BLOCK_SHARE = 0.3
 _NEVER = np.float32(1e12)
 
 
@@ -90,7 +96,8 @@ def segment_in_focus(
     step = "Separating focus from blur"
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = focus_cost(candidates, threshold)
-    weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
+    share = 1.0 if candidates.mode == "paper" else _BLOCK_SHARE
+    weights = blocks.edge_weights(picture.color, color_sigma, share * smoothness)
     progress(step, 0.0)
     block_cost = cost * blocks.area[..., None]
     if fixed is not None:
@@ -105,7 +112,7 @@ def segment_in_focus(
         smoothness=smoothness,
         color_sigma=color_sigma,
         jump=1,
-        reach=candidates.window // 2,
+        reach=_reach(candidates),
         fixed=fixed,
         progress=within(progress, 0.5, 1.0, step),
     )
@@ -125,6 +132,11 @@ def _seed_cost(fixed: NDArray[np.int32], blocks: Blocks) -> Float32:
     """
     surplus = blocks.count(fixed == 1) - blocks.count(fixed == 0)
     return _NEVER * np.stack([surplus > 0, surplus < 0], axis=2).astype(np.float32)
+
+
+def _reach(candidates: BlurCandidates) -> int:
+    """Return how far the border may move, in px: windows see what is sharp from half a side."""
+    return 3 * candidates.window // 4
 
 
 def focus_cost(candidates: BlurCandidates, threshold: float) -> Float32:
