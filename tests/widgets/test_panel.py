@@ -283,7 +283,9 @@ def test_painted_seeds_reach_the_mask_without_another_estimation(
     widget.seeds_button.native.click()
     assert widget.seeds.value.name == "leaf seeds"
     window.layers["leaf seeds"].data[5:9, 7] = 2
+    window.layers.remove("leaf in focus")
     finish(widget)
+    assert window.layers.selection.active.name == "leaf seeds", "the brush stays where it is"
     expected = np.zeros(texture.shape)
     expected[5:9, 7] = 2
     np.testing.assert_array_equal(method.segmentations[1]["seeds"], expected)

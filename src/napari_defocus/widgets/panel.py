@@ -246,11 +246,19 @@ class DefocusPanel(RunPanel):
     def _show_results(self, results: list[LayerDataTuple]) -> None:
         [plane] = self._planes
         if plane.is_current(self._viewer.layers):
-            show_results(self._viewer, results)
+            self._show_below_brush(results)
             self._on_min_confidence(self.settings.min_confidence.value)
             self.status.value = _summary(results)
         elif plane.layer() in self._viewer.layers:
             show_info(f"“{plane.name}” was changed while it was analysed. Run again.")
+
+    def _show_below_brush(self, results: list[LayerDataTuple]) -> None:
+        """Show results; whoever paints seeds goes on painting on their layer."""
+        selection = self._viewer.layers.selection
+        painted = selection.active
+        show_results(self._viewer, results)
+        if painted is not None and painted == self.seeds.value:
+            selection.active = painted
 
     def _show_comparison(self, rows: list[tuple[str, PSFEvidence]]) -> None:
         self._best, _ = rows[0]
