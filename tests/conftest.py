@@ -71,14 +71,14 @@ def ramp_picture(clouds, ramp, defocused):
 
 @pytest.fixture(scope="session")
 def scene(grass, gravel, defocused):
-    """A warm disc of 85 px radius before something cool, one of them blurred by 5 px.
+    """A warm disc before something cool, one of them blurred by 5 px.
 
     Returns the picture, (360, 360, 3), and where the disc is.
     """
 
-    def build(blurred):
+    def build(blurred, radius=85):
         row, column = np.indices((360, 360)) - 179.5
-        inside = row**2 + column**2 < 85**2
+        inside = row**2 + column**2 < radius**2
         layers = {"subject": (grass, (0.7, 0.45, 0.2)), "background": (gravel, (0.2, 0.35, 0.6))}
         seen = {}
         for layer, (texture, color) in layers.items():

@@ -54,6 +54,15 @@ def test_every_pixel_belongs_to_the_nearest_window(shape, stride):
     assert blocks.area.min() > 0
 
 
+def test_marked_pixels_are_counted_by_block():
+    blocks = blocks_of((13, 18))
+    marked = np.random.default_rng(0).random((13, 18)) < 0.3
+    counts = np.zeros_like(blocks.area)
+    for i, j in zip(*np.nonzero(marked), strict=True):
+        counts[blocks.row_of_pixel[i], blocks.column_of_pixel[j]] += 1
+    np.testing.assert_array_equal(blocks.count(marked), counts)
+
+
 def two_colours(edge, shape=(64, 64)):
     """Dark up to a column, bright from it on, with faint texture."""
     color = np.where(np.arange(shape[1]) < edge, 0.2, 0.8) * np.ones(shape)

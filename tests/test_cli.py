@@ -118,6 +118,20 @@ def test_segment_writes_a_mask_and_an_overlay(picture):
     assert f"{100 * (mask > 0).mean():.1f} %" in result.stdout
 
 
+@pytest.mark.parametrize("ending", [".png", ".tif"])
+def test_segment_keeps_to_the_seeds_and_tells_of_them(picture, ending):
+    seeds = np.zeros((80, 96), np.uint8)
+    seeds[10:20, 10:30], seeds[60:70, 50:80] = 1, 2
+    path = picture.with_name(f"known{ending}")
+    tifffile.imwrite(path, seeds) if ending == ".tif" else Image.fromarray(seeds).save(path)
+    result = run("segment", picture, "--seeds", path)
+    assert result.exit_code == 0, result.output
+    assert f"200 px in focus, 300 px blurred, from {path}" in result.stdout
+    mask = np.asarray(Image.open(picture.with_name("seed-mask.png")))
+    assert (mask[seeds == 1] == 255).all()
+    assert (mask[seeds == 2] == 0).all()
+
+
 def test_demo_measures_the_sample_and_can_be_run_again(tmp_path, instant):
     folder = tmp_path / "results"
     for _ in range(2):
@@ -171,6 +185,7 @@ def test_defaults_are_those_of_the_functions(picture, instant):
     assert instant["mask"]["threshold"] == MaskSettings.threshold
     assert instant["mask"]["smoothness"] == MaskSettings.smoothness
     assert instant["mask"]["color_sigma"] == MaskSettings.color_sigma
+    assert instant["mask"]["seeds"] is None
 
 
 def test_options_reach_the_functions(picture, instant):
@@ -469,6 +484,35 @@ def test_picture_is_never_overwritten(picture, instant):
     result = run("segment", picture, "-o", picture, "--force")
     assert_fails_in_one_line(result, saying="is the picture that is read")
     assert picture.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("seeds", "saying"),
+    [
+        (np.zeros((80, 95), np.uint8), "seeds has shape (80, 95)"),
+        (np.zeros((80, 96, 3), np.uint8), "seeds has shape (80, 96, 3)"),
+        (np.full((80, 96), 255, np.uint8), "seeds has the value 255"),
+        (np.zeros((80, 96), np.float32), "seeds has dtype float32"),
+        (None, "cannot read"),
+    ],
+)
+def test_seeds_that_do_not_fit_stop_before_any_work(picture, tmp_path, instant, seeds, saying):
+    if seeds is not None:
+        tifffile.imwrite(tmp_path / "seeds.tif", seeds)
+    assert_fails_in_one_line(
+        run("segment", picture, "--seeds", tmp_path / "seeds.tif"), saying=saying
+    )
+    assert not instant, "nothing was computed"
+    assert names_in(picture.parent) == ["seed.png"]
+
+
+def test_seeds_are_never_overwritten(picture, instant):
+    Image.fromarray(np.zeros((80, 96), np.uint8)).save(picture.with_name("mask.png"))
+    before = picture.with_name("mask.png").read_bytes()
+    mask = picture.with_name("mask.png")
+    result = run("segment", picture, "--seeds", mask, "-o", mask, "--force")
+    assert_fails_in_one_line(result, saying="is the picture that is read")
+    assert mask.read_bytes() == before
 
 
 @pytest.mark.parametrize("command", ["map", "segment"])

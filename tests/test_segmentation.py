@@ -19,11 +19,84 @@ def test_sharp_subject_before_a_blurred_background_is_found(scene):
     assert overlap(mask == 1, inside) > 0.95
 
 
-@pytest.mark.xfail(reason="what is sharp around it reaches half a window into the subject")
+@pytest.mark.parametrize("radius", [20, 30])
+def test_small_sharp_subject_is_found(scene, radius):
+    picture, inside = scene(blurred="background", radius=radius)
+    mask = segment_in_focus(estimate_candidates(picture), picture)
+    assert overlap(mask == 1, inside) > 0.9
+
+
 def test_blurred_subject_before_a_sharp_background_is_found(scene):
     picture, inside = scene(blurred="subject")
     mask = segment_in_focus(estimate_candidates(picture), picture)
     assert overlap(mask == 0, inside) > 0.85
+
+
+@pytest.fixture(scope="module")
+def swallowed_subject(scene):
+    """A small blurred disc before something sharp, which takes it in, and a stroke on it."""
+    picture, inside = scene(blurred="subject", radius=30)
+    row, column = np.indices(inside.shape) - 179.5
+    stroke = np.abs(np.hypot(row, column) - 20) < 1
+    return picture, estimate_candidates(picture), inside, stroke
+
+
+def test_stroke_draws_its_surroundings_along_up_to_the_edges_of_colour(swallowed_subject):
+    picture, candidates, inside, stroke = swallowed_subject
+    assert segment_in_focus(candidates, picture).min() == 1
+    mask = segment_in_focus(candidates, picture, seeds=np.where(stroke, 2, 0))
+    assert overlap(mask == 0, inside) > 0.95
+
+
+def test_stroke_draws_along_what_is_in_focus_too(scene):
+    picture, inside = scene(blurred="background", radius=15)
+    row, column = np.indices(inside.shape) - 179.5
+    candidates = estimate_candidates(picture)
+    assert segment_in_focus(candidates, picture).max() == 0
+    seeds = np.where(np.abs(row + column) < 8, 1, 0) * inside
+    mask = segment_in_focus(candidates, picture, seeds=seeds)
+    assert overlap(mask == 1, inside) > 0.9
+
+
+@pytest.mark.parametrize("smoothness", [0.0, 20.0, 1000.0, 1e6])
+def test_seeds_hold_pixel_by_pixel_even_where_they_contradict(
+    ramp_picture, ramp_candidates, smoothness
+):
+    seeds = np.zeros(ramp_picture.shape, np.uint8)
+    seeds[80, 80] = 1
+    seeds[20:60, 20:60] = 1 + np.indices((40, 40)).sum(axis=0) % 2
+    seeds[100:140:7, 100:140:5] = 2
+    seeds[0, :3], seeds[-1, -3:] = (1, 2, 1), (2, 1, 2)
+    mask = segment_in_focus(
+        ramp_candidates, ramp_picture, threshold=3, smoothness=smoothness, seeds=seeds
+    )
+    assert (mask[seeds == 1] == 1).all()
+    assert (mask[seeds == 2] == 0).all()
+
+
+def test_seeds_that_agree_or_say_nothing_change_nothing(ramp_picture, ramp_candidates):
+    settings = {"threshold": 3, "smoothness": 20.0}
+    plain = segment_in_focus(ramp_candidates, ramp_picture, **settings)
+    for seeds in (np.zeros_like(plain), 2 - plain, (2 - plain).astype(np.int64).tolist()):
+        mask = segment_in_focus(ramp_candidates, ramp_picture, seeds=seeds, **settings)
+        np.testing.assert_array_equal(mask, plain)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "error", "words"),
+    [
+        (np.zeros((160, 160)), TypeError, "seeds has dtype float64; it takes integers"),
+        (np.zeros((160, 160), bool), TypeError, "seeds has dtype bool"),
+        (np.zeros((160, 161), int), ValueError, r"seeds has shape \(160, 161\).*\(160, 160\)"),
+        (np.zeros((160, 160, 3), int), ValueError, r"seeds has shape \(160, 160, 3\)"),
+        (np.full((160, 160), 3), ValueError, "seeds has the value 3; it takes 0 .* 1 .* and 2"),
+        (np.full((160, 160), -1), ValueError, "seeds has the value -1"),
+        ([[0, 1], [2]], ValueError, "seeds is no array"),
+    ],
+)
+def test_bad_seeds_are_an_error_that_names_them(ramp_picture, ramp_candidates, seeds, error, words):
+    with pytest.raises(error, match=words):
+        segment_in_focus(ramp_candidates, ramp_picture, seeds=seeds)
 
 
 @pytest.mark.parametrize("mode", ["curve", "paper"])

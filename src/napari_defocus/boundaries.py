@@ -82,6 +82,13 @@ class Blocks:
         """Give every pixel its block's value: (R, C) to (H, W)."""
         return values[np.ix_(self.row_of_pixel, self.column_of_pixel)]
 
+    def count(self, marked: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Count the marked pixels of each block: (H, W) to (R, C)."""
+        rows, columns = np.nonzero(marked)
+        counts = np.zeros((len(self.row_centers), len(self.column_centers)), np.int64)
+        np.add.at(counts, (self.row_of_pixel[rows], self.column_of_pixel[columns]), 1)
+        return counts
+
     def edge_weights(self, color: Float32, color_sigma: float, smoothness: float) -> Float32:
         """Add up lambda of (16) over the pixel pairs between neighbouring blocks: (4, R, C)."""
         sharpness = np.float32(0.5 / color_sigma**2)
@@ -134,6 +141,7 @@ def label_pixels(
     color_sigma: float,
     jump: int,
     reach: int,
+    fixed: Labels | None = None,
     progress: Progress = silent,
 ) -> Labels:
     """Label pixels on their own wherever neighbouring blocks differ by a jump.
@@ -152,6 +160,8 @@ def label_pixels(
         The smallest difference of labels that counts as a discontinuity.
     reach : int
         How far, in px, a boundary may move at once.
+    fixed : (H, W) int32 ndarray, optional
+        Labels that pixels must have, -1 where they are free.
     progress : callable, optional
 
     Returns
@@ -160,11 +170,16 @@ def label_pixels(
     """
     pixels = blocks.spread(labels)
     beside_jump = maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
+    if fixed is not None:
+        beside_jump |= blocks.count((fixed >= 0) & (fixed != pixels)) > 0
+        pixels = np.where(fixed >= 0, fixed, pixels)
     if not beside_jump.any():
         return pixels
     near = binary_dilation(beside_jump, iterations=-(-reach // blocks.side))
     free = blocks.spread(near).astype(bool)
     weights = pixel_weights(color, free, color_sigma, smoothness)
+    if fixed is not None:
+        free &= fixed < 0
     left = reach
     while left > 0:
         for offer in (grey_erosion, grey_dilation):

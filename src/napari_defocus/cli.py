@@ -34,6 +34,7 @@ from napari_defocus.commands import (
     OverlayOutput,
     PSFText,
     Quiet,
+    SeedsPath,
     ShotNoiseOption,
     Threshold,
     check_endings,
@@ -163,6 +164,7 @@ def segment_picture(
     max_radius: MaxRadius = MapSettings.max_radius,
     smoothness: MaskSmoothness = MaskSettings.smoothness,
     color_sigma: ColorSigma = MaskSettings.color_sigma,
+    seeds: SeedsPath = None,
     mode: ModeOption = MapSettings.mode,
     linearize: LinearizeOption = MapSettings.linearize,
     intensity_range: IntensityRange = None,
@@ -197,13 +199,16 @@ def segment_picture(
         check_threshold(mask_settings.threshold, family.max_scale)
         check_endings(outputs, ".png")
         picture = files.read_picture(image)
-        files.check_results(outputs, force=force, source=image)
+        known = _seeds(seeds, picture)
+        for source in (image, seeds):
+            files.check_results(outputs, force=force, source=source)
         first, second = _shares(progress)
         candidates = _candidates(picture, settings, intensity_range, first)
-        mask = _mask(candidates, picture, mask_settings, intensity_range, second)
+        mask = _mask(candidates, picture, mask_settings, intensity_range, second, known)
         contents = _encoded_masks(output, overlay, picture, mask, intensity_range)
         files.write_results(contents, force=force)
-        return _facts(image, outputs, candidates, settings) | _mask_facts(mask)
+        facts = _facts(image, outputs, candidates, settings) | _mask_facts(mask)
+        return facts | _seeds_facts(seeds, known)
 
     run(measure, _lines, as_json, quiet)
 
@@ -278,6 +283,12 @@ def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
     if "in_focus_percent" in facts:
         yield f"in focus     {facts['in_focus_percent']:.1f} % of the picture"
+    if facts.get("seeds"):
+        known = facts["seeds"]
+        yield (
+            f"seeds        {known['in_focus_px']} px in focus, {known['blurred_px']} px blurred, "
+            f"from {known['file']}"
+        )
     yield from last_lines(facts)
 
 
@@ -316,6 +327,25 @@ def _map_facts(
 
 def _mask_facts(mask: NDArray[Any]) -> dict[str, Any]:
     return {"in_focus_percent": 100.0 * float((mask != 0).mean())}
+
+
+def _seeds(path: Path | None, picture: NDArray[Any]) -> NDArray[Any] | None:
+    if path is None:
+        return None
+    from napari_defocus.files import read_picture
+    from napari_defocus.seeds import checked_seeds
+
+    return checked_seeds(read_picture(path), picture.shape[:2])
+
+
+def _seeds_facts(path: Path | None, seeds: NDArray[Any] | None) -> dict[str, Any]:
+    if seeds is None:
+        return {"seeds": None}
+    from napari_defocus.seeds import BLURRED, IN_FOCUS
+
+    known = {"in_focus_px": int((seeds == IN_FOCUS).sum())}
+    known["blurred_px"] = int((seeds == BLURRED).sum())
+    return {"seeds": {"file": str(path), **known}}
 
 
 def _shares(progress: Progress) -> tuple[Progress, Progress]:
@@ -375,6 +405,7 @@ def _mask(
     settings: MaskSettings,
     intensity_range: tuple[float, float] | None,
     progress: Progress,
+    seeds: NDArray[Any] | None = None,
 ) -> NDArray[Any]:
     return napari_defocus.segment_in_focus(
         candidates,
@@ -382,6 +413,7 @@ def _mask(
         threshold=settings.threshold,
         smoothness=settings.smoothness,
         color_sigma=settings.color_sigma,
+        seeds=seeds,
         intensity_range=intensity_range,
         progress=progress,
     )

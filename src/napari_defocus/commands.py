@@ -83,6 +83,14 @@ Threshold = Annotated[
         f"standard deviation. [default: {MaskSettings.threshold:g}, or half of it for a Gaussian]",
     ),
 ]
+SeedsPath = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PATH",
+        help="A grey picture of integers (.png, .tif) as large as IMAGE: 1 where it is known to be "
+        "in focus, 2 where it is known to be blurred, 0 elsewhere. The mask keeps to it.",
+    ),
+]
 IntensityRange = Annotated[
     tuple[float, float] | None,
     typer.Option(

@@ -1,4 +1,9 @@
-"""In focus or not, at every pixel: one binary cut, (17) and (18)."""
+"""In focus or not, at every pixel: binary cuts, (17) and (18).
+
+The border between blocks cannot follow the picture's edges, so that it crosses more and is dearer
+than that between pixels. Blocks therefore pay a share of the smoothness, or small things would
+not be worth it; then pixels pay in full, and the mask shrinks to the picture's edges.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,7 @@ from napari_defocus.candidates import BlurCandidates
 from napari_defocus.graphcut import solve_exactly
 from napari_defocus.labeling import data_term, limited_depth, picture_of
 from napari_defocus.progress import Progress, silent, within
+from napari_defocus.seeds import checked_seeds
 from napari_defocus.settings import (
     MaskSettings,
     check_threshold,
@@ -19,6 +25,8 @@ from napari_defocus.settings import (
 Float32 = NDArray[np.float32]
 
 _CURVE_WEIGHT = np.float32(4)
+_BLOCK_SHARE = 0.3
+_NEVER = np.float32(1e12)
 
 
 def segment_in_focus(
@@ -28,6 +36,7 @@ def segment_in_focus(
     threshold: float = MaskSettings.threshold,
     smoothness: float = MaskSettings.smoothness,
     color_sigma: float = MaskSettings.color_sigma,
+    seeds: ArrayLike | None = None,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.uint8]:
@@ -35,7 +44,7 @@ def segment_in_focus(
 
     Minimises (17): being in focus costs what the best scale up to `threshold` costs, being
     blurred what the best scale above it costs (18), and a boundary costs least along edges of
-    colour (16).
+    colour (16). Pixels of `seeds` are as they say, and draw those around them along.
 
     Parameters
     ----------
@@ -49,6 +58,8 @@ def segment_in_focus(
         lambda_0 of (16) for a boundary between two pixels. Larger masks have fewer parts.
     color_sigma : float, optional
         sigma_lambda of (16), intensities in [0, 1].
+    seeds : (H, W) integer array_like, optional
+        What is known: 1 in focus, 2 blurred, 0 not known. The mask is never otherwise there.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
     progress : callable, optional
@@ -62,11 +73,12 @@ def segment_in_focus(
     Raises
     ------
     TypeError
-        If `image` has no real dtype.
+        If `image` has no real dtype, or `seeds` no integers.
     ValueError
         If `image` is no picture (see `estimate_candidates`) or another one than that of
         `candidates`, if `threshold` is not within the scales of `candidates`, `smoothness`
-        negative or `color_sigma` not positive.
+        negative or `color_sigma` not positive, or if `seeds` has another shape than the
+        picture or other values.
 
     Examples
     --------
@@ -79,13 +91,18 @@ def segment_in_focus(
     """
     check_weights(smoothness, color_sigma)
     check_threshold(threshold, float(candidates.scales[-1]))
+    fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, candidates.image_shape))
     picture = picture_of(candidates, image, intensity_range)
     step = "Separating focus from blur"
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = focus_cost(candidates, threshold)
-    weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
+    share = 1.0 if candidates.mode == "paper" else _BLOCK_SHARE
+    weights = blocks.edge_weights(picture.color, color_sigma, share * smoothness)
     progress(step, 0.0)
-    labels = solve_exactly(cost * blocks.area[..., None], weights)
+    block_cost = cost * blocks.area[..., None]
+    if fixed is not None:
+        block_cost += _seed_cost(fixed, blocks)
+    labels = solve_exactly(block_cost, weights)
     progress(step, 0.5)
     mask = label_pixels(
         labels,
@@ -95,11 +112,31 @@ def segment_in_focus(
         smoothness=smoothness,
         color_sigma=color_sigma,
         jump=1,
-        reach=candidates.window // 2,
+        reach=_reach(candidates),
+        fixed=fixed,
         progress=within(progress, 0.5, 1.0, step),
     )
     progress(step, 1.0)
     return mask.astype(np.uint8)
+
+
+def _fixed_labels(seeds: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Return the label of the cut that each pixel must have, -1 where it is free."""
+    return np.array([-1, 1, 0], np.int32)[seeds]
+
+
+def _seed_cost(fixed: NDArray[np.int32], blocks: Blocks) -> Float32:
+    """Return what binds blocks to most of their seeds, as `focus_cost`: (R, C, 2).
+
+    As many seeds of both kinds bind a block to none; they act on its pixels.
+    """
+    surplus = blocks.count(fixed == 1) - blocks.count(fixed == 0)
+    return _NEVER * np.stack([surplus > 0, surplus < 0], axis=2).astype(np.float32)
+
+
+def _reach(candidates: BlurCandidates) -> int:
+    """Return how far the border may move, in px: windows see what is sharp from half a side."""
+    return 3 * candidates.window // 4
 
 
 def focus_cost(candidates: BlurCandidates, threshold: float) -> Float32:

@@ -114,7 +114,7 @@ def test_form_starts_with_the_defaults_of_the_method(viewer, opened, widget_clas
 @pytest.mark.parametrize("widget_class", ALL)
 def test_every_field_explains_itself(viewer, opened, widget_class):
     widget = opened(widget_class)
-    for field in (widget.image, *widget.settings.fields()):
+    for field in (widget.image, widget.seeds, widget.seeds_button, *widget.settings.fields()):
         assert len(field.tooltip) > 40
 
 
@@ -270,6 +270,60 @@ def test_second_threshold_does_not_estimate_again(viewer, opened, finish, method
     assert viewer.layers["leaf in focus"].data.min() == 1
     assert len(method.estimations) == 1
     assert len(viewer.layers) == 2
+
+
+@pytest.mark.parametrize("widget_class", [InFocusWidget, MapAndMaskWidget])
+def test_painted_seeds_reach_the_mask_without_another_estimation(
+    window, docked, finish, method, texture, widget_class
+):
+    window.add_image(texture, name="leaf", scale=(2, 3))
+    widget = docked(widget_class)
+    finish(widget)
+    assert method.segmentations[0]["seeds"] is None
+    widget.seeds_button.native.click()
+    assert widget.seeds.value.name == "leaf seeds"
+    window.layers["leaf seeds"].data[5:9, 7] = 2
+    window.layers.remove("leaf in focus")
+    finish(widget)
+    assert window.layers.selection.active.name == "leaf seeds", "the brush stays where it is"
+    expected = np.zeros(texture.shape)
+    expected[5:9, 7] = 2
+    np.testing.assert_array_equal(method.segmentations[1]["seeds"], expected)
+    assert window.layers["leaf in focus"].metadata["napari_defocus"]["seeds"] == "leaf seeds"
+    assert len(method.estimations) == 1
+    window.layers.remove("leaf seeds")
+    assert widget.seeds.value is None
+    finish(widget)
+    assert method.segmentations[2]["seeds"] is None
+
+
+def test_seeds_are_any_labels_but_results(window, docked, finish, method, texture):
+    window.add_image(texture, name="leaf")
+    widget = docked(InFocusWidget)
+    finish(widget)
+    window.add_labels(np.zeros(texture.shape, int), name="mine")
+    widget.seeds_button.native.click()
+    widget.seeds_button.native.click()
+    names = [layer and layer.name for layer in widget.seeds.choices]
+    assert names == [None, "mine", "leaf seeds", "leaf seeds [1]"]
+    assert widget.seeds.value.name == "leaf seeds [1]", "a new layer; nothing painted is lost"
+
+
+def test_seeds_that_do_not_fit_are_said_in_plain_words(viewer, opened, method, texture, messages):
+    viewer.add_image(texture, name="leaf")
+    viewer.add_labels(np.full(texture.shape, 7), name="cells")
+    widget = opened(InFocusWidget)
+    widget.seeds.value = viewer.layers["cells"]
+    assert widget.run() is None
+    assert messages() == [
+        "“cells” cannot be the seeds of “leaf”: seeds has the value 7; it takes 0 (not known), "
+        "1 (in focus) and 2 (blurred). “New seeds layer” makes one that fits."
+    ]
+
+
+def test_seeds_without_an_image_are_said_in_plain_words(viewer, opened, messages):
+    assert opened(InFocusWidget).add_seeds() is None
+    assert messages() == ["There is no image to paint seeds on. Open an image first."]
 
 
 def test_mask_reuses_the_estimation_of_the_map_widget(viewer, opened, finish, method, texture):

@@ -23,6 +23,7 @@ from napari_defocus.widgets.layers import (
     confidence_layer,
     in_focus_layer,
 )
+from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:
     from napari_defocus import BlurCandidates, PSFEvidence, ShotNoise
@@ -42,6 +43,8 @@ class Analysis:
         What the candidates are estimated with, and the map labelled.
     mask : MaskSettings or None
         What is segmented with; None for no mask.
+    seeds : Seeds or None
+        What the mask keeps to.
     blur_map : bool
         Whether a blur map is wanted.
     confidence : bool
@@ -51,6 +54,7 @@ class Analysis:
     plane: Plane
     estimation: MapSettings
     mask: MaskSettings | None = None
+    seeds: Seeds | None = None
     blur_map: bool = True
     confidence: bool = True
 
@@ -158,12 +162,13 @@ class Analysis:
             threshold=self.mask.threshold,
             smoothness=self.mask.smoothness,
             color_sigma=self.mask.color_sigma,
+            seeds=self.seeds.values if self.seeds else None,
             intensity_range=span,
             progress=progress,
         )
-        return [
-            in_focus_layer(self.plane, mask, self.mask, self.estimation, candidates.noise_variance)
-        ]
+        used = self.mask, self.estimation, candidates.noise_variance
+        name = self.seeds.name if self.seeds else None
+        return [in_focus_layer(self.plane, mask, *used, name)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from napari.components import Dims, LayerList, ViewerModel
-from napari.layers import Image, Layer
+from napari.layers import Image, Labels, Layer
 from napari.types import LayerDataTuple
 from napari.utils.colormaps import DirectLabelColormap
 from napari.utils.transforms import CompositeAffine
@@ -115,6 +115,16 @@ class Plane:
         low, high = self.contrast_limits_range
         return bool(min(low, image.min()) >= 0.0 and max(high, image.max()) <= 1.0)
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in px; nothing is read."""
+        height, width = (
+            length
+            for length, at in zip(self.data.shape, self.index, strict=False)
+            if not isinstance(at, int)
+        )
+        return height, width
+
     def expanded(self, result: NDArray[Any]) -> NDArray[Any]:
         """Return a result of the plane's height and width with the layer's number of axes."""
         sliced = [axis for axis, at in enumerate(self.index) if isinstance(at, int)]
@@ -123,7 +133,7 @@ class Plane:
     def is_current(self, layers: LayerList) -> bool:
         """Tell whether the layer is still in the list, with the data that were read."""
         layer = self.layer()
-        return layer is not None and layer in layers and _finest(layer) is self.data
+        return layer is not None and layer in layers and finest(layer) is self.data
 
 
 def shown_plane(layer: Image, dims: Dims) -> Plane:
@@ -147,7 +157,7 @@ def shown_plane(layer: Image, dims: Dims) -> Plane:
     """
     # Plugins are lent a proxy; the layer itself is what lives and dies.
     layer = getattr(layer, "__wrapped__", layer)
-    return plane_at(layer, _shown_index(layer, dims, _finest(layer).shape))
+    return plane_at(layer, shown_index(layer, dims, finest(layer).shape))
 
 
 def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
@@ -155,15 +165,16 @@ def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
     return Plane(
         layer=weakref.ref(layer),
         name=layer.name,
-        data=_finest(layer),
+        data=finest(layer),
         index=index,
-        placement=_placement(layer, index),
+        placement=placement(layer, index),
         contrast_limits=_pair(layer.contrast_limits),
         contrast_limits_range=_pair(layer.contrast_limits_range),
     )
 
 
-def _finest(layer: Image) -> Any:
+def finest(layer: Image | Labels) -> Any:
+    """Return a layer's data, of level 0 if there are several."""
     return layer.data[0] if layer.multiscale else layer.data
 
 
@@ -172,7 +183,10 @@ def _pair(limits: Any) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _shown_index(layer: Image, dims: Dims, shape: tuple[int, ...]) -> tuple[int | slice, ...]:
+def shown_index(
+    layer: Image | Labels, dims: Dims, shape: tuple[int, ...]
+) -> tuple[int | slice, ...]:
+    """Return what picks the plane that a viewer shows out of a layer's data, see `shown_plane`."""
     if layer.ndim == 2:
         return (slice(None), slice(None))
     first = dims.ndim - layer.ndim
@@ -191,7 +205,8 @@ def _shown_index(layer: Image, dims: Dims, shape: tuple[int, ...]) -> tuple[int 
     return tuple(slice(None) if axis in shown else int(at[axis]) for axis in range(layer.ndim))
 
 
-def _placement(layer: Image, index: tuple[int | slice, ...]) -> dict[str, Any]:
+def placement(layer: Image, index: tuple[int | slice, ...]) -> dict[str, Any]:
+    """Return where a plane of a layer lies, as keywords of a new layer, see `Plane`."""
     to_physical = CompositeAffine(
         scale=layer.scale,
         translate=layer.translate,
@@ -306,7 +321,7 @@ def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> Laye
     made |= {"result": NOT_TRUSTED, "min_confidence": min_confidence}
     keywords = {
         "name": f"{made['source']} not trusted",
-        "colormap": _one_color(NOT_TRUSTED_COLOR),
+        "colormap": fixed_colors({1: NOT_TRUSTED_COLOR}),
         "opacity": NOT_TRUSTED_OPACITY,
         "metadata": {METADATA_KEY: made},
         **{name: made_with[name] for name in _PLACEMENT},
@@ -322,6 +337,7 @@ def in_focus_layer(
     settings: MaskSettings,
     estimation: MapSettings,
     noise_variance: float,
+    seeds: str | None = None,
 ) -> LayerDataTuple:
     """Return an in-focus mask as a labels layer that lies on the plane.
 
@@ -337,6 +353,8 @@ def in_focus_layer(
         What the candidates were estimated with.
     noise_variance : float
         The variance that was used, found or given; intensities in [0, 1].
+    seeds : str, optional
+        Name of the layer of its seeds.
 
     Returns
     -------
@@ -344,18 +362,21 @@ def in_focus_layer(
     """
     keywords = {
         "name": f"{plane.name} in focus",
-        "colormap": _one_color(MASK_COLOR),
+        "colormap": fixed_colors({1: MASK_COLOR}),
         "opacity": MASK_OPACITY,
         "metadata": _provenance(
             plane, IN_FOCUS, {**asdict(estimation), **asdict(settings)}, noise_variance
         ),
         **plane.placement,
     }
+    keywords["metadata"][METADATA_KEY]["seeds"] = seeds
     return LayerDataTuple((plane.expanded(mask), keywords, "labels"))
 
 
-def _one_color(color: tuple[float, ...]) -> DirectLabelColormap:
-    colors = DirectLabelColormap(color_dict={None: "transparent", 0: "transparent", 1: color})
+def fixed_colors(color_of: dict[int, tuple[float, ...]]) -> DirectLabelColormap:
+    """Return colours of labels; all others are transparent."""
+    transparent: dict[int | None, Any] = {None: "transparent", 0: "transparent"}
+    colors = DirectLabelColormap(color_dict=transparent | color_of)
     # napari compiles this mapping when it is first used: better here, in the worker thread,
     # than in the window's.
     colors.map(np.zeros((1, 1), np.uint8))

@@ -6,7 +6,7 @@ from typing import Any
 
 from magicgui.widgets import ComboBox, Label, PushButton, Widget
 from napari.components import ViewerModel
-from napari.layers import Image
+from napari.layers import Image, Labels
 from napari.types import LayerDataTuple
 from napari.utils.notifications import show_info, show_warning
 
@@ -20,6 +20,7 @@ from napari_defocus.widgets.layers import (
     METADATA_KEY,
     NOT_TRUSTED,
     NotAnalysableError,
+    Plane,
     layer_of_result,
     made_by_us,
     not_trusted_layer,
@@ -27,6 +28,7 @@ from napari_defocus.widgets.layers import (
     shown_plane,
 )
 from napari_defocus.widgets.run_panel import RunPanel
+from napari_defocus.widgets.seeds import SEEDS, Seeds, add_seeds_layer, shown_seeds
 from napari_defocus.widgets.settings_form import SettingsForm
 from napari_defocus.widgets.workers import Run
 
@@ -58,6 +60,10 @@ class DefocusPanel(RunPanel):
         The image layer to analyse.
     settings : SettingsForm
         The fields below it.
+    seeds : magicgui.widgets.ComboBox
+        The labels layer that the mask keeps to, or none.
+    seeds_button : magicgui.widgets.PushButton
+        Makes a new one.
     compare_button, comparison, best_button : magicgui widgets
         Start a comparison of lenses, show it, and take the best of it.
     """
@@ -67,6 +73,7 @@ class DefocusPanel(RunPanel):
     ) -> None:
         super().__init__(napari_viewer, action=action)
         self._blur_map = blur_map
+        self._mask = mask
         self._best = ""
         self.image = ComboBox(
             name="image",
@@ -76,6 +83,21 @@ class DefocusPanel(RunPanel):
         )
         self.settings = SettingsForm(
             blur_map=blur_map, mask=mask, last_measured=self._last_measured
+        )
+        self.seeds = ComboBox(
+            name="seeds",
+            label="seeds",
+            choices=self._seeds_layers,
+            nullable=True,
+            tooltip="A labels layer on the image that says what is known: 1 in focus, 2 blurred, "
+            "0 not known. The mask keeps to it, and what looks alike around it follows. "
+            "Changing it does not analyse the picture again.",
+        )
+        self.seeds_button = PushButton(
+            name="new_seeds",
+            text="New seeds layer",
+            tooltip="Add a labels layer for the chosen image, ready to paint: label 1 where it is "
+            "in focus, label 2 where it is blurred.",
         )
         self.compare_button = PushButton(
             name="compare",
@@ -96,6 +118,7 @@ class DefocusPanel(RunPanel):
             self.comparison,
             self.best_button,
             *settings.main_fields(),
+            *([self.seeds, self.seeds_button] if self._mask else []),
             settings.more,
             *settings.more_fields(),
         ]
@@ -104,6 +127,7 @@ class DefocusPanel(RunPanel):
         self.settings.lens.show_needed()
         self.settings.show_more(False)
         self._forget_comparison()
+        self.seeds_button.clicked.connect(self.add_seeds)
         self.compare_button.clicked.connect(self.compare)
         self.best_button.clicked.connect(self.take_best)
         self.image.changed.connect(lambda _: self._forget_comparison())
@@ -119,6 +143,13 @@ class DefocusPanel(RunPanel):
             if isinstance(layer, Image) and made_by_us(layer) is None
         ]
 
+    def _seeds_layers(self, _: Any) -> list[Labels]:
+        return [
+            layer
+            for layer in self._viewer.layers
+            if isinstance(layer, Labels) and made_by_us(layer) in (None, SEEDS)
+        ]
+
     def _last_measured(self) -> str:
         measured = [layer for layer in self._viewer.layers if made_by_us(layer) == MEASURED_PSF]
         return measured[-1].metadata[METADATA_KEY]["file"] if measured else ""
@@ -131,15 +162,35 @@ class DefocusPanel(RunPanel):
         NotAnalysableError
             If the chosen layer shows no plane that can be analysed.
         ValueError
-            If a field holds no valid value.
+            If a field holds no valid value, or the seeds do not fit the plane.
         """
+        plane = shown_plane(self.image.value, self._viewer.dims)
         return Analysis(
-            plane=shown_plane(self.image.value, self._viewer.dims),
+            plane=plane,
             estimation=self.settings.map_settings(),
             mask=self.settings.mask_settings(),
+            seeds=self._chosen_seeds(plane),
             blur_map=self._blur_map,
             confidence=self.settings.confidence.value,
         )
+
+    def _chosen_seeds(self, plane: Plane) -> Seeds | None:
+        if not self._mask or self.seeds.value is None:
+            return None
+        return shown_seeds(self.seeds.value, plane, self._viewer.dims)
+
+    def add_seeds(self) -> Labels | None:
+        """Add a layer for seeds of the chosen image, choose it and return it; None without one."""
+        if self.image.value is None:
+            show_warning("There is no image to paint seeds on. Open an image first.")
+            return None
+        layer = add_seeds_layer(self._viewer, self.image.value)
+        self.reset_choices()
+        self.seeds.value = layer
+        self.status.value = (
+            "Paint label 1 where it is in focus and 2 where it is blurred. Then run."
+        )
+        return layer
 
     def run(self) -> Run | None:
         """Start the analysis, and return it; None if there is nothing to analyse.
@@ -195,11 +246,19 @@ class DefocusPanel(RunPanel):
     def _show_results(self, results: list[LayerDataTuple]) -> None:
         [plane] = self._planes
         if plane.is_current(self._viewer.layers):
-            show_results(self._viewer, results)
+            self._show_below_brush(results)
             self._on_min_confidence(self.settings.min_confidence.value)
             self.status.value = _summary(results)
         elif plane.layer() in self._viewer.layers:
             show_info(f"“{plane.name}” was changed while it was analysed. Run again.")
+
+    def _show_below_brush(self, results: list[LayerDataTuple]) -> None:
+        """Show results; whoever paints seeds goes on painting on their layer."""
+        selection = self._viewer.layers.selection
+        painted = selection.active
+        show_results(self._viewer, results)
+        if painted is not None and painted == self.seeds.value:
+            selection.active = painted
 
     def _show_comparison(self, rows: list[tuple[str, PSFEvidence]]) -> None:
         self._best, _ = rows[0]

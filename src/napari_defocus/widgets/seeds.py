@@ -1,0 +1,131 @@
+"""Seeds as labels layers: a new one for an image, and what one says about the plane shown.
+
+No Qt here, as in `layers`.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from napari.components import Dims, ViewerModel
+from napari.layers import Image, Labels, Layer
+from numpy.typing import NDArray
+
+from napari_defocus import __version__
+from napari_defocus.seeds import BLURRED, IN_FOCUS, checked_seeds
+from napari_defocus.widgets.layers import (
+    MASK_COLOR,
+    METADATA_KEY,
+    Plane,
+    finest,
+    fixed_colors,
+    placement,
+    shown_index,
+)
+
+SEEDS = "seeds"
+BLURRED_COLOR = (1.0, 0.3, 0.1, 1.0)
+OPACITY = 0.7
+BRUSH_SIZE = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Seeds:
+    """What is known of a plane.
+
+    Attributes
+    ----------
+    name : str
+        Of the labels layer that it was in.
+    values : (H, W) integer ndarray
+        1 in focus, 2 blurred, 0 not known; a copy.
+    """
+
+    name: str
+    values: NDArray[np.integer]
+
+
+def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
+    """Return what a labels layer says about a plane that a viewer shows.
+
+    Parameters
+    ----------
+    layer : napari.layers.Labels
+        With the axes of the image, or of the plane alone.
+    plane : Plane
+        What `shown_plane` returns for the same dimensions.
+    dims : napari.components.Dims
+
+    Returns
+    -------
+    Seeds
+
+    Raises
+    ------
+    ValueError
+        If it lies elsewhere, has another height and width, or values beside 0, 1 and 2.
+    """
+    layer = getattr(layer, "__wrapped__", layer)
+    try:
+        index = shown_index(layer, dims, finest(layer).shape)
+        values = checked_seeds(np.array(finest(layer)[index]), plane.shape)
+        if not _lies_on(layer, index, plane):
+            raise ValueError("it lies elsewhere than the image, or has another scale")
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"“{layer.name}” cannot be the seeds of “{plane.name}”: {str(error).rstrip('.')}. "
+            "“New seeds layer” makes one that fits."
+        ) from None
+    return Seeds(layer.name, values)
+
+
+def _lies_on(layer: Labels, index: tuple[int | slice, ...], plane: Plane) -> bool:
+    """Tell whether a layer's corners are shown where the plane's are, to half a pixel."""
+    image = plane.layer()
+    if image is None:
+        return False
+    expected = _shown_corners(image, plane.index, plane.shape)
+    pixel = np.linalg.norm(expected[3] - expected[0]) / np.linalg.norm(np.subtract(plane.shape, 1))
+    away = np.abs(_shown_corners(layer, index, plane.shape) - expected)
+    return bool(away.max() < pixel / 2)
+
+
+def _shown_corners(
+    layer: Layer, index: tuple[int | slice, ...], shape: tuple[int, int]
+) -> NDArray[np.floating]:
+    """Return the world coordinates of a plane's corner pixels along its own axes: (4, 2)."""
+    shown = [axis for axis, at in enumerate(index) if not isinstance(at, int)]
+    points = np.tile([float(at) if isinstance(at, int) else 0.0 for at in index], (4, 1))
+    points[:, shown] = np.array(list(np.ndindex(2, 2))) * np.subtract(shape, 1)
+    return np.array([layer.data_to_world(point) for point in points])[:, shown]
+
+
+def add_seeds_layer(viewer: ViewerModel, image: Image) -> Labels:
+    """Add an empty labels layer for the seeds of an image layer's planes, ready for the brush.
+
+    Parameters
+    ----------
+    viewer : napari.components.ViewerModel or napari.Viewer
+    image : napari.layers.Image
+
+    Returns
+    -------
+    napari.layers.Labels
+        The label "in focus" is chosen.
+    """
+    image = getattr(image, "__wrapped__", image)
+    made: dict[str, Any] = {"version": __version__, "result": SEEDS, "source": image.name}
+    layer = Labels(
+        np.zeros(finest(image).shape[: image.ndim], np.uint8),
+        name=f"{image.name} seeds",
+        colormap=fixed_colors({IN_FOCUS: MASK_COLOR, BLURRED: BLURRED_COLOR}),
+        features={"index": [IN_FOCUS, BLURRED], "meaning": ["in focus", "blurred"]},
+        opacity=OPACITY,
+        metadata={METADATA_KEY: made},
+        **placement(image, (slice(None),) * image.ndim),
+    )
+    viewer.add_layer(layer)
+    layer.brush_size = BRUSH_SIZE
+    layer.selected_label = IN_FOCUS
+    layer.mode = "paint"
+    return layer
