@@ -121,16 +121,3 @@ def test_transparent_half_hardly_changes_the_noise(clouds, defocused):
     rgba[:, 80:, 3] = 0
     # Windows across the border of the opaque part have less power, which draws it down.
     assert 1 / 2.5 < estimate_noise_variance(rgba) / 1e-4 < 1.6
-
-
-@pytest.mark.parametrize("window", [40, 5, -1])
-def test_window_is_checked(window):
-    with pytest.raises(ValueError, match=r"window is .* takes an odd number"):
-        estimate_noise_variance(np.zeros((60, 60)), window=window)
-
-
-def test_psf_is_checked():
-    with pytest.raises(ValueError, match="psf has a largest scale of 25"):
-        estimate_noise_variance(np.zeros((60, 60)), psf=Disc(25))
-    with pytest.raises(TypeError, match="psf is None"):
-        estimate_noise_variance(np.zeros((60, 60)), psf=None)

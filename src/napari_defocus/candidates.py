@@ -220,13 +220,14 @@ def estimate_candidates(
     picture = prepare_image(image, intensity_range, linearize)
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
-        noise_variance = noise_variance_of(picture, [psf], window)
+        noise_variance = noise_variance_of(picture)
     shot_noise = noise_variance if isinstance(noise_variance, ShotNoise) else None
     if isinstance(noise_variance, ShotNoise):
         noise_variance = float(noise_variance.variance_at(picture.luminance).mean())
     gradient = gradients(picture.luminance, picture.opaque, window)
     grid = _AnalysisGrid.over(picture.shape, window, stride)
-    table = spectrum_table(psf, window, grid.rows[0] % 1, grid.columns[0] % 1, spectra)
+    fractions = grid.rows[0] % 1, grid.columns[0] % 1
+    table = spectrum_table(psf, window, *fractions, spectra, mixed=mode == "curve")
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = None
     if shot_noise is not None:

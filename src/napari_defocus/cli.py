@@ -364,8 +364,6 @@ def _candidates(
         progress("Measuring the noise", 0.0)
         noise = napari_defocus.estimate_shot_noise(
             picture,
-            psf=psf,
-            window=settings.window,
             linearize=settings.linearize,
             intensity_range=intensity_range,
         )

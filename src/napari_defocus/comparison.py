@@ -140,7 +140,7 @@ def compare_psf(
     picture = prepare_image(image, intensity_range, linearize)
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
-        noise_variance = noise_variance_of(picture, checked, window)
+        noise_variance = noise_variance_of(picture)
     gradient = gradients(picture.luminance, picture.opaque, window)
     rows, columns = (
         np.unique(

@@ -42,14 +42,14 @@ LIKELIHOOD_FLOOR = 1e-24
 """The artificial likelihood of scales that no candidate reaches, instead of 0."""
 
 _CURVE_DEPTH = np.float32(15)
-_CURVE_WEIGHT = np.float32(12)
+_CURVE_WEIGHT = np.float32(24)
 _LEAST_SMOOTHNESS = 1e-12
 
 
 def data_term(candidates: BlurCandidates) -> Float32:
     """Return D of (14): the cost of each of `candidates.scales` at each window, (R, C, L).
 
-    In the mode "paper", -log of the artificial likelihood; in "curve", 12 times the limited depth.
+    In the mode "paper", -log of the artificial likelihood; in "curve", 24 times the limited depth.
     """
     if candidates.mode == "paper":
         return -np.log(artificial_likelihood(candidates)).astype(np.float32)

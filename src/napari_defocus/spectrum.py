@@ -28,6 +28,9 @@ _LOWEST_POWERS = (0, -1, -2, -3, -4)
 _AS_GOOD = 1.1
 _INDISTINCT = 1e-6
 
+_SPREAD, _LEAST_SPREAD = 0.06, 1e-3
+_SHARP_SHARE, _SHARP_BELOW, _SHARP_FALL = 5e-4, 0.625, 6
+
 
 @dataclass(frozen=True, eq=False)
 class SpectrumTable:
@@ -80,7 +83,12 @@ def label_scales(psf: PSFFamily) -> Float64:
 
 @lru_cache(maxsize=8)
 def spectrum_table(
-    psf: PSFFamily, window: int, row_fraction: float, column_fraction: float, spectra: Spectra
+    psf: PSFFamily,
+    window: int,
+    row_fraction: float,
+    column_fraction: float,
+    spectra: Spectra,
+    mixed: bool = False,
 ) -> SpectrumTable:
     """Tabulate the spectra of a PSF family for windows of one kind.
 
@@ -93,6 +101,8 @@ def spectrum_table(
         Fractional part, 0 or 0.5, of the windows' centres in px.
     spectra : {"exact", "fitted"}
         (6) evaluated at every scale of the table, or the fit (12).
+    mixed : bool
+        Whether windows hold more than one scale, see `mixed_spectra`.
     """
     of_windows = (window, row_fraction, column_fraction)
     count = int(np.ceil(psf.max_scale / _TABLE_STEP - 1e-6))
@@ -102,6 +112,8 @@ def spectrum_table(
         if spectra == "exact"
         else fit_spectra(psf, *of_windows)
     )
+    if mixed:
+        log_blur = CubicSpline(scales, np.log(mixed_spectra(scales, np.exp(log_blur(scales)))))
     value, slope, curvature = np.exp(log_blur(scales)), log_blur(scales, 1), log_blur(scales, 2)
     noise = FilterPower.of_window(*of_windows, largest=2).noise_spectra()
     return SpectrumTable(scales, value, value * slope, value * (curvature + slope**2), noise)
@@ -115,6 +127,35 @@ def log_blur_spectra(
     largest = max(len(kernel) for kernel in kernels)
     filters = FilterPower.of_window(window, row_fraction, column_fraction, largest)
     return np.log([filters.blur_spectra(kernel) for kernel in kernels])
+
+
+def mixed_spectra(scales: Float64, blur: Float64) -> Float64:
+    """Average blur spectra over the scales that a window around each scale may hold.
+
+    No window has one scale alone: blur varies within it, edges of things are sharper than what
+    lies between them, and a camera's processing adds what no lens passed. The spectra (6) have
+    deep minima that no picture has, and a window is far too sure of the scale whose minima
+    happen to fit. So scales within about 6 % of each are averaged, evenly on both sides, with a
+    share of 5e-4 of sharp light, less where blur is wide and its own share is less.
+
+    Parameters
+    ----------
+    scales : (M,) float64 ndarray
+    blur : (M, 2, F) float64 ndarray
+        sigma_i^2(r) of (6).
+
+    Returns
+    -------
+    (M, 2, F) float64 ndarray
+    """
+    distance = np.abs(scales - scales[:, None])
+    spread = np.maximum(_SPREAD * scales, _LEAST_SPREAD)[:, None]
+    share = np.exp(-((distance / spread) ** 2) / 2)
+    share[distance > (scales[-1] - scales)[:, None] + _INDISTINCT] = 0
+    share /= share.sum(axis=1, keepdims=True)
+    wide = np.maximum(scales / scales[-1], _SHARP_BELOW) / _SHARP_BELOW
+    sharp = (_SHARP_SHARE / wide**_SHARP_FALL)[:, None, None]
+    return (1 - sharp) * np.tensordot(share, blur, axes=1) + sharp * blur[0]
 
 
 @dataclass(frozen=True)

@@ -97,14 +97,10 @@ class Analysis:
         from napari_defocus import estimate_candidates, estimate_shot_noise
 
         estimation = self.estimation
-        common: dict[str, Any] = {
-            "psf": estimation.family(),
-            "window": estimation.window,
-            "linearize": estimation.linearize,
-            "intensity_range": span,
-        }
+        common: dict[str, Any] = {"linearize": estimation.linearize, "intensity_range": span}
+        family = estimation.family()
         key = (fingerprint(image), estimation.noise_variance, estimation.shot_noise)
-        key += (estimation.stride, estimation.mode, *common.values())
+        key += (family, estimation.window, estimation.stride, estimation.mode, *common.values())
 
         def estimate() -> BlurCandidates:
             noise: float | ShotNoise | None = estimation.noise_variance
@@ -113,7 +109,9 @@ class Analysis:
                 noise = estimate_shot_noise(image, **common)
             return estimate_candidates(
                 image,
+                psf=family,
                 noise_variance=noise,
+                window=estimation.window,
                 stride=estimation.stride,
                 mode=estimation.mode,
                 **common,
