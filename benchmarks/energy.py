@@ -33,6 +33,7 @@ from napari_defocus.graphcut import (
 )
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.labeling import JUMP, REACH, data_term
+from napari_defocus.own_side import on_own_side
 from napari_defocus.settings import MapSettings
 
 SMOOTHNESS, COLOR_SIGMA = MapSettings.smoothness, MapSettings.color_sigma
@@ -80,8 +81,8 @@ class Problem:
 
     @classmethod
     def of(cls, picture: np.ndarray) -> "Problem":
-        candidates = estimate_candidates(picture)
         prepared = prepare_image(picture, None)
+        candidates = on_own_side(estimate_candidates(picture), prepared.luminance)
         blocks = Blocks.around(
             candidates.row_centers, candidates.column_centers, candidates.image_shape
         )

@@ -101,6 +101,23 @@ class BlurCandidates:
         """Return how many places share the window of each: (R, C), above 1 along the border."""
         return _AnalysisGrid.over(self.image_shape, self.window, self.stride).places()
 
+    def displacement(self) -> Float64:
+        """Return how far, in px, each window lies from its place: (R, C), not 0 near the border."""
+        grid = _AnalysisGrid.over(self.image_shape, self.window, self.stride)
+        pad = (padding(length, self.window) for length in self.image_shape)
+        return np.hypot.outer(
+            *(
+                centers[window] - extra - place
+                for centers, window, extra, place in zip(
+                    (grid.rows, grid.columns),
+                    (grid.row_of_window, grid.column_of_window),
+                    pad,
+                    (self.row_centers, self.column_centers),
+                    strict=True,
+                )
+            )
+        )
+
     def log_likelihood_at(self, row: float, column: float) -> tuple[Float64, Float64]:
         """Return the likelihood curve at one pixel (the paper's Fig. 6).
 

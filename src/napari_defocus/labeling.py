@@ -21,6 +21,7 @@ from napari_defocus.candidates import BlurCandidates, estimate_candidates
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.noise import ShotNoise
+from napari_defocus.own_side import on_own_side
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.refinement import refine_labels
@@ -148,6 +149,7 @@ def label_blur_map(
     """
     check_weights(smoothness, color_sigma)
     picture = picture_of(candidates, image, intensity_range)
+    candidates = on_own_side(candidates, picture.luminance)
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = data_term(candidates)
     block_cost = cost * blocks.area[..., None]
@@ -311,6 +313,7 @@ def labeling_energy(
             f"{largest:g} px, those of the candidates"
         )
     picture = picture_of(candidates, image, intensity_range)
+    candidates = on_own_side(candidates, picture.luminance)
     return energy_of_pixels(
         labels.astype(np.int32),
         data_term(candidates),

@@ -33,13 +33,14 @@ Float64 = NDArray[np.floating]
 Slices = tuple[slice, slice]
 
 _REFERENCE_STRIDE = 4
-_SLOPE_WEIGHT, _BEND_WEIGHT = 1.0, 2e4
+_SLOPE_WEIGHT, _BEND_WEIGHT = 1.0, 3e4
 _LEAST_WEIGHT = 0.02
-_REACH = 6
-_TEMPER = 0.6
+_REACH = 14
+_TEMPER = 0.8
 _LEAST_VARIANCE = 0.02**2
 _ROUNDS = 3
 _STEPS_A_ROUND = 3
+_SAY_OF_DISPLACED = 1e-3
 _TILE = 256
 _OVERLAP = 80
 """px; what is farther away has no influence."""
@@ -73,7 +74,8 @@ def refine_labels(
         In px.
     """
     spacing = candidates.stride / _REFERENCE_STRIDE
-    independent = spacing**2 / candidates.places_of_window()
+    elsewhere = candidates.displacement() > candidates.stride
+    independent = spacing**2 * np.where(elsewhere, _SAY_OF_DISPLACED, 1.0)
     scale = LABEL_STEP * labels.astype(np.float64)
     overlap = -(-_OVERLAP // candidates.stride)
     tiles = list(_tiles(labels.shape, overlap))
@@ -154,7 +156,7 @@ def _conjugate_gradients(
 
 @njit(cache=True, parallel=True, nogil=True)
 def _around(curve: Float32, scales: Float64, scale: Float64) -> tuple[Float64, Float64]:
-    """Return mean and variance of the tempered likelihood within 0.6 px of a scale: (P,) each."""
+    """Return mean and variance of the tempered likelihood within 1.4 px of a scale: (P,) each."""
     count = len(scales)
     reach = min(_REACH, (count - 1) // 2)
     mean, variance = np.empty(len(scale)), np.empty(len(scale))

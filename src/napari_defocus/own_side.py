@@ -1,0 +1,81 @@
+"""Evidence at boundaries: each place asks the window on its own side of an edge.
+
+A window that overlaps two blur scales is won by the sharper one (Section V of the paper), so
+that sharp regions grow by the window's radius. But it is seen where in the window the fine
+details are: the mean shift of their energy E under the Gaussian window of standard deviation
+sigma is d = sigma^2 grad log E (Fukunaga and Hostetler, IEEE Trans. Inf. Theory 21(1), 1975).
+Beside a textured half-plane, a window moved away by 2 d has left it when its own centre is
+outside, and not before. Where it is much blurrier there, the details belong to the other side,
+and the place takes the moved window's evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from napari_defocus.candidates import BlurCandidates
+
+Float32 = NDArray[np.float32]
+
+_DETAIL = 1.0
+"""Standard deviation, in px, of the Gaussian that leaves no fine details."""
+
+_SHIFTS = 2.0
+_LARGEST_SHIFT = 0.5
+"""As a share of the window's side."""
+
+_LEAST_RATIO, _LEAST_STEP = 2.0, 0.5
+_LEAST_ENERGY = 1e-12
+
+
+def on_own_side(candidates: BlurCandidates, luminance: Float32) -> BlurCandidates:
+    """Replace the curves of windows that are sharp only because of what lies beside them.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+        Of the mode "curve"; those of "paper" are returned as they are.
+    luminance : (H, W) float32 ndarray
+        Of the same picture.
+    """
+    if candidates.mode == "paper":
+        return candidates
+    curve = candidates.curve
+    rows, columns = np.indices(curve.shape[:2])
+    row_shift, column_shift = _shifts(candidates, luminance)
+    row = np.clip(np.rint(rows + row_shift), 0, curve.shape[0] - 1).astype(int)
+    column = np.clip(np.rint(columns + column_shift), 0, curve.shape[1] - 1).astype(int)
+    best = candidates.scales[curve.argmax(axis=2)]
+    blurrier = best[row, column] > _LEAST_RATIO * best + _LEAST_STEP
+    own = curve.copy()
+    own[blurrier] = curve[row[blurrier], column[blurrier]]
+    return replace(candidates, curve=own)
+
+
+def _shifts(candidates: BlurCandidates, luminance: Float32) -> Float32:
+    """Return how far each window moves away from where its fine details are: (2, R, C) windows."""
+    stride, window = candidates.stride, candidates.window
+    details = luminance - gaussian_filter(luminance, _DETAIL)
+    energy = gaussian_filter(details**2, stride / 2)
+    centers = (candidates.row_centers, candidates.column_centers)
+    sampled = energy[np.ix_(*(np.rint(center).astype(int) for center in centers))]
+    sampled += max(candidates.noise_variance, _LEAST_ENERGY)
+    # Power has the square of the filters' window, of standard deviation N / 4.
+    sigma = window / 4 / np.sqrt(2) / stride
+    log_energy = np.log(gaussian_filter(sampled, sigma, mode="nearest"))
+    shifts = (
+        -_SHIFTS
+        * sigma**2
+        * np.stack(
+            [
+                np.gradient(log_energy, axis=axis) if log_energy.shape[axis] > 1 else 0 * log_energy
+                for axis in (0, 1)
+            ]
+        )
+    )
+    length = np.hypot(*shifts)
+    return shifts * np.minimum(1, _LARGEST_SHIFT * window / stride / np.maximum(length, 1e-6))
