@@ -24,6 +24,7 @@ from pictures import middle
 
 from napari_defocus import BlurCandidates, estimate_candidates
 from napari_defocus.boundaries import Blocks, label_pixels, pixel_weights
+from napari_defocus.evidence import on_own_side
 from napari_defocus.graphcut import (
     energy_of,
     expand_until_settled,
@@ -33,7 +34,6 @@ from napari_defocus.graphcut import (
 )
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.labeling import JUMP, REACH, data_term
-from napari_defocus.own_side import on_own_side
 from napari_defocus.settings import MapSettings
 
 SMOOTHNESS, COLOR_SIGMA = MapSettings.smoothness, MapSettings.color_sigma

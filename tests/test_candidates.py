@@ -35,7 +35,7 @@ def test_uniform_blur_of_a_texture_is_found_to_a_tenth_of_a_pixel(
 def test_nearest_of_three_candidates_is_closer_than_the_best(request, defocused, texture, radius):
     picture = defocused(request.getfixturevalue(texture), radius)
     error = np.abs(estimate_candidates(picture, noise_variance=NOISE).radii - radius)
-    assert np.nanmin(error, axis=2).mean() < 0.11
+    assert np.nanmin(error, axis=2).mean() < 0.14
     assert np.nanmin(error, axis=2).mean() < 0.8 * error[..., 0].mean()
 
 
@@ -93,7 +93,7 @@ def test_windows_of_stride_4_are_those_of_stride_1(blurred, mode):
     fourth = estimate_candidates(picture, noise_variance=NOISE, mode=mode, stride=4)
     np.testing.assert_array_equal(every.row_centers[::4], fourth.row_centers)
     np.testing.assert_array_equal(every.column_centers[::4], fourth.column_centers)
-    np.testing.assert_allclose(every.curve[::4, ::4], fourth.curve, rtol=0, atol=0.01)
+    np.testing.assert_allclose(every.curve[::4, ::4], fourth.curve, rtol=1e-3, atol=0.01)
     same = np.isclose(every.radii[::4, ::4], fourth.radii, atol=0.002, equal_nan=True)
     assert same.mean() > 0.99
 

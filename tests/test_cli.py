@@ -255,7 +255,6 @@ def test_shot_noise_is_measured_and_told(picture, instant, monkeypatch):
     result = run("map", picture, *common)
     assert result.exit_code == 0, result.output
     assert instant["candidates"]["noise_variance"] == ShotNoise(1e-5, 2e-4)
-    assert instant["noise"]["psf"] == Annulus(0.4)
     assert instant["noise"]["intensity_range"] == (0, 200)
     assert "variance 1e-05 + 0.0002 x intensity" in result.stdout
     facts = json.loads(run("segment", picture, *common, "--json").stdout)

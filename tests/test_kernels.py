@@ -320,12 +320,12 @@ def test_nodes_near_a_label_are_those_around_nodes_that_have_about_it():
 
 
 def test_mean_and_variance_are_those_of_the_tempered_likelihood_nearby():
-    curve = np.random.default_rng(0).normal(0, 2, (5, 20)).astype(np.float32)
-    scales, scale = np.arange(20) / 10, np.array([0.0, 0.3, 0.98, 1.6, 1.9])
+    curve = np.random.default_rng(0).normal(0, 2, (5, 40)).astype(np.float32)
+    scales, scale = np.arange(40) / 10, np.array([0.0, 0.3, 1.98, 3.6, 3.9])
     mean, variance = _around(curve, scales, scale)
-    for place, first in enumerate([0, 0, 4, 7, 7]):
-        near = scales[first : first + 13]
-        share = np.exp(0.6 * curve[place, first : first + 13])
+    for place, first in enumerate([0, 0, 6, 11, 11]):
+        near = scales[first : first + 29]
+        share = np.exp(0.8 * curve[place, first : first + 29])
         share /= share.sum()
         np.testing.assert_allclose(mean[place], share @ near, rtol=1e-5)
         spread = share @ (near - share @ near) ** 2
@@ -343,7 +343,7 @@ def test_smoothness_form_is_the_sum_of_weighted_squares():
         first, last = (np.delete(alike, end, axis) for end in (-1, 0))
         expected += np.sum(alike * np.diff(values, axis=axis) ** 2)
         bends = np.diff(values, 2, axis=axis) ** 2
-        expected += 2e4 / 1.5**2 * np.sum(np.minimum(first, last) * bends)
+        expected += 3e4 / 1.5**2 * np.sum(np.minimum(first, last) * bends)
     form = _smoothness_form(labels, weights, 4, 1.5)
     np.testing.assert_allclose(values.ravel() @ (form @ values.ravel()), expected, rtol=1e-6)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from napari_defocus import Disc, ShotNoise, estimate_noise_variance, estimate_shot_noise
+from napari_defocus import ShotNoise, estimate_noise_variance, estimate_shot_noise
 
 TEXTURES = pytest.mark.parametrize("texture", ["grass", "gravel", "clouds"])
 

@@ -32,6 +32,10 @@ def test_blurred_subject_before_a_sharp_background_is_found(scene):
     assert overlap(mask == 0, inside) > 0.85
 
 
+SWALLOWING = 2e4
+"""A smoothness at which small things are lost."""
+
+
 @pytest.fixture(scope="module")
 def swallowed_subject(scene):
     """A small blurred disc before something sharp, which takes it in, and a stroke on it."""
@@ -43,8 +47,9 @@ def swallowed_subject(scene):
 
 def test_stroke_draws_its_surroundings_along_up_to_the_edges_of_colour(swallowed_subject):
     picture, candidates, inside, stroke = swallowed_subject
-    assert segment_in_focus(candidates, picture).min() == 1
-    mask = segment_in_focus(candidates, picture, seeds=np.where(stroke, 2, 0))
+    assert segment_in_focus(candidates, picture, smoothness=SWALLOWING).min() == 1
+    seeds = np.where(stroke, 2, 0)
+    mask = segment_in_focus(candidates, picture, smoothness=SWALLOWING, seeds=seeds)
     assert overlap(mask == 0, inside) > 0.95
 
 
@@ -52,9 +57,9 @@ def test_stroke_draws_along_what_is_in_focus_too(scene):
     picture, inside = scene(blurred="background", radius=15)
     row, column = np.indices(inside.shape) - 179.5
     candidates = estimate_candidates(picture)
-    assert segment_in_focus(candidates, picture).max() == 0
+    assert segment_in_focus(candidates, picture, smoothness=SWALLOWING).max() == 0
     seeds = np.where(np.abs(row + column) < 8, 1, 0) * inside
-    mask = segment_in_focus(candidates, picture, seeds=seeds)
+    mask = segment_in_focus(candidates, picture, smoothness=SWALLOWING, seeds=seeds)
     assert overlap(mask == 1, inside) > 0.9
 
 

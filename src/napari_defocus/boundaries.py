@@ -8,6 +8,7 @@ the boundary moves to where the picture's colours change.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numba import njit, prange
@@ -27,6 +28,7 @@ from napari_defocus.spectrum import LABEL_STEP
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
+Value = TypeVar("Value", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Blocks:
             self.column_centers, self.column_of_pixel
         )
 
-    def spread(self, values: Labels) -> Labels:
+    def spread(self, values: NDArray[Value]) -> NDArray[Value]:
         """Give every pixel its block's value: (R, C) to (H, W)."""
         return values[np.ix_(self.row_of_pixel, self.column_of_pixel)]
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from napari_defocus.candidates import BlurCandidates
+from napari_defocus.evidence import average_around, informed_share
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -15,17 +16,14 @@ TOLERANCE = 0.5
 """What counts as right, in px."""
 
 _DEPTH = 15.0
-_NEIGHBORHOOD = 8.0
 _JUMP_SIDE = 31
 _ROUNDING = 1e-4
 
-_TEMPER = 0.5
-_WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.659, -0.159, 0.925
+_TEMPER = 0.7
+_WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.419, -0.280, 0.709
 """Fitted by benchmarks/confidence.py, which also says what they are worth."""
 
 _LEAST_ODDS, _LEAST_JUMP = 1e-3, 0.05
-_INFORMATIVE, _STEEPNESS = 4.0, 3.0
-"""Noise alone gives averaged curves a depth of 0.05 to 0.9, rarely 3; texture 8 to 15."""
 
 
 def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
@@ -100,18 +98,12 @@ def likelihood_share(
         Of the averaged curve, from its top to its bottom, at most 15.
     """
     curve = np.maximum(candidates.curve - candidates.curve.max(axis=2, keepdims=True), -_DEPTH)
-    sigma = _NEIGHBORHOOD / candidates.stride
-    curve = gaussian_filter(curve, (sigma, sigma, 0))
+    curve = average_around(curve, candidates.stride)
     top = curve.max(axis=2, keepdims=True)
     likelihood = np.exp(_TEMPER * (curve - top))
     agrees = np.abs(candidates.scales - radius[..., None]) <= TOLERANCE + _ROUNDING
     share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
     return share, agrees.mean(axis=2), (top - curve.min(axis=2, keepdims=True))[..., 0]
-
-
-def informed_share(depth: Float64) -> Float64:
-    """Return how far a curve of this depth is evidence at all: 0 for a flat one, up to 1."""
-    return 1 - np.exp(-((depth / _INFORMATIVE) ** _STEEPNESS))
 
 
 def _checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:

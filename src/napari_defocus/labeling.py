@@ -8,6 +8,8 @@ picture's edges, and between labels that belong together the map is interpolated
 
 from __future__ import annotations
 
+from typing import Literal, overload
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,10 +20,10 @@ from napari_defocus.boundaries import (
     label_pixels,
 )
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
+from napari_defocus.evidence import evidence_share, limited_depth, on_own_side
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.noise import ShotNoise
-from napari_defocus.own_side import on_own_side
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.refinement import refine_labels
@@ -42,9 +44,9 @@ REACH = 6
 LIKELIHOOD_FLOOR = 1e-24
 """The artificial likelihood of scales that no candidate reaches, instead of 0."""
 
-_CURVE_DEPTH = np.float32(15)
 _CURVE_WEIGHT = np.float32(24)
 _LEAST_SMOOTHNESS = 1e-12
+_CARRIED_IN = 0.5
 
 
 def data_term(candidates: BlurCandidates) -> Float32:
@@ -55,18 +57,6 @@ def data_term(candidates: BlurCandidates) -> Float32:
     if candidates.mode == "paper":
         return -np.log(artificial_likelihood(candidates)).astype(np.float32)
     return _CURVE_WEIGHT * limited_depth(candidates)
-
-
-def limited_depth(candidates: BlurCandidates) -> Float32:
-    """Return how far each scale lies below the best, min(max log p - log p(r), 15): (R, C, L).
-
-    The whole curve keeps what a broad or shallow maximum says; its depth is limited because no
-    window is exactly what the model says. A window that stands for n places along the border is
-    not n windows; it is weighted by 1 / sqrt(n).
-    """
-    depth = candidates.curve.max(axis=2, keepdims=True) - candidates.curve
-    weight = 1 / np.sqrt(candidates.places_of_window())
-    return weight[..., None].astype(np.float32) * np.minimum(depth, _CURVE_DEPTH)
 
 
 def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
@@ -85,6 +75,32 @@ def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
     return likelihood / likelihood.sum(axis=2, keepdims=True)
 
 
+@overload
+def label_blur_map(
+    candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    intensity_range: tuple[float, float] | None = ...,
+    return_carried_in: Literal[False] = ...,
+    progress: Progress = ...,
+) -> Float32: ...
+
+
+@overload
+def label_blur_map(
+    candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    intensity_range: tuple[float, float] | None = ...,
+    return_carried_in: Literal[True],
+    progress: Progress = ...,
+) -> tuple[Float32, NDArray[np.bool_]]: ...
+
+
 def label_blur_map(
     candidates: BlurCandidates,
     image: ArrayLike,
@@ -92,21 +108,23 @@ def label_blur_map(
     smoothness: float = MapSettings.smoothness,
     color_sigma: float = MapSettings.color_sigma,
     intensity_range: tuple[float, float] | None = None,
+    return_carried_in: bool = False,
     progress: Progress = silent,
-) -> Float32:
+) -> Float32 | tuple[Float32, NDArray[np.bool_]]:
     """Choose one blur scale at every pixel: likely, smooth, and free to jump at colour edges.
 
     Section III-B of the paper [1]_: minimises (14) with the penalty (15) on differences of
     labels 0.1 px apart and the colour-dependent weights (16) over 8 neighbours, by minimum
-    cuts.
+    cuts. Where there is no texture, the blur is carried in from around, rather from where the
+    colours are the same.
 
     Parameters
     ----------
     candidates : BlurCandidates
         From `estimate_candidates` on the same picture. Their mode decides: "paper" takes the
         artificial likelihood of three candidates, labelled by expansion moves; "curve" the
-        whole likelihood curve, which follows steep blur better, labelled by range moves and
-        expansions from coarse to fine, which is faster.
+        whole likelihood curve, which follows steep blur better, of each window's own side of
+        edges, labelled from coarse to fine, which is faster, and made continuous.
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its colours.
     smoothness : float, optional
@@ -116,13 +134,17 @@ def label_blur_map(
         may differ in blur at little cost.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
+    return_carried_in : bool, optional
+        Return also where the map was carried in.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
     Returns
     -------
-    (H, W) float32 ndarray
+    blur_map : (H, W) float32 ndarray
         Blur scale in px: the radius, for `Disc`.
+    carried_in : (H, W) bool ndarray
+        True where there is no evidence; only with `return_carried_in`.
 
     Raises
     ------
@@ -176,7 +198,10 @@ def label_blur_map(
             candidates, labels, likeness, JUMP, smoothness, within(progress, 0.9, 1.0)
         )
     progress("Smoothing out the steps", 1.0)
-    return interpolate_labels(scales, labels, pixels, blocks, JUMP)
+    blur_map = interpolate_labels(scales, labels, pixels, blocks, JUMP)
+    if not return_carried_in:
+        return blur_map
+    return blur_map, blocks.spread(evidence_share(candidates) < _CARRIED_IN)
 
 
 def estimate_blur_map(

@@ -262,8 +262,8 @@ def _quantization_step(luminance: Float32, origin: tuple[int, int]) -> float:
     row, column = origin
     rows, columns = (luminance.shape[0] - row) // _BLOCK, (luminance.shape[1] - column) // _BLOCK
     inside = luminance[row : row + rows * _BLOCK, column : column + columns * _BLOCK]
-    blocks = inside.reshape(rows, _BLOCK, columns, _BLOCK).swapaxes(1, 2)
-    blocks = blocks.reshape(-1, _BLOCK, _BLOCK)
+    grid = inside.reshape(rows, _BLOCK, columns, _BLOCK).swapaxes(1, 2)
+    blocks = grid.reshape(-1, _BLOCK, _BLOCK)
     some = blocks[:: max(1, len(blocks) // _MOST_BLOCKS)]
     coefficients = _LEVELS * dctn(some, axes=(1, 2), norm="ortho")[:, *_COEFFICIENTS]
     return float(np.median([_comb(values) for values in coefficients.T]))

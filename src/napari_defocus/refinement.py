@@ -40,7 +40,7 @@ _TEMPER = 0.8
 _LEAST_VARIANCE = 0.02**2
 _ROUNDS = 3
 _STEPS_A_ROUND = 3
-_SAY_OF_DISPLACED = 1e-3
+_SAY_OF_DISPLACED = 0.1
 _TILE = 256
 _OVERLAP = 80
 """px; what is farther away has no influence."""

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks, label_pixels
 from napari_defocus.candidates import BlurCandidates
+from napari_defocus.evidence import limited_depth, on_own_side
 from napari_defocus.graphcut import solve_exactly
-from napari_defocus.labeling import data_term, limited_depth, picture_of
-from napari_defocus.own_side import on_own_side
+from napari_defocus.labeling import data_term, picture_of
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.seeds import checked_seeds
 from napari_defocus.settings import (
@@ -25,7 +25,7 @@ from napari_defocus.settings import (
 
 Float32 = NDArray[np.float32]
 
-_CURVE_WEIGHT = np.float32(16)
+_CURVE_WEIGHT = np.float32(10)
 _BLOCK_SHARE = 0.3
 _NEVER = np.float32(1e12)
 
@@ -144,7 +144,7 @@ def _reach(candidates: BlurCandidates) -> int:
 def focus_cost(candidates: BlurCandidates, threshold: float) -> Float32:
     """Return D of (18) at each window, blurred and in focus: (R, C, 2).
 
-    The mode "curve" takes 16 times the limited depth: at most 240, where the paper's artificial
+    The mode "curve" takes 10 times the limited depth: at most 150, where the paper's artificial
     likelihood costs at most 55, so that the paper's smoothness goes with both.
     """
     cost = (

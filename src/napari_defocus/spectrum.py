@@ -12,6 +12,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import fft, fft2, next_fast_len
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 
 from napari_defocus.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
 from napari_defocus.psf import PSFFamily, as_family
@@ -30,6 +31,7 @@ _INDISTINCT = 1e-6
 
 _SPREAD, _LEAST_SPREAD = 0.06, 1e-3
 _SHARP_SHARE, _SHARP_BELOW, _SHARP_FALL = 5e-4, 0.625, 6
+_WEAK_NOISE, _POINTLIKE, _CENTERS_STEP = 1e-3, 0.1, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +157,27 @@ def mixed_spectra(scales: Float64, blur: Float64) -> Float64:
     share /= share.sum(axis=1, keepdims=True)
     wide = np.maximum(scales / scales[-1], _SHARP_BELOW) / _SHARP_BELOW
     sharp = (_SHARP_SHARE / wide**_SHARP_FALL)[:, None, None]
-    return (1 - sharp) * np.tensordot(share, blur, axes=1) + sharp * blur[0]
+    mixed = (1 - sharp) * np.tensordot(share, blur, axes=1) + sharp * blur[0]
+    return _centered(scales, blur, mixed)
+
+
+def _centered(scales: Float64, blur: Float64, mixed: Float64) -> Float64:
+    """Shift mixtures along the scales, so that blur of one scale is likeliest at this scale.
+
+    Its expected log-likelihood is -mean(log B) - log(mean(A / B)) with A its spectrum, B the
+    mixture's, and the best variance; a weak noise stands for the one that all pictures have.
+    """
+    actual, assumed = (
+        (spectra + _WEAK_NOISE).reshape(len(scales), -1) for spectra in (blur, mixed)
+    )
+    ratio = actual[::_CENTERS_STEP] @ (1 / assumed).T / assumed.shape[1]
+    expected = -np.log(assumed).mean(axis=1) - np.log(ratio)
+    likeliest = scales[expected.argmax(axis=1)]
+    pointlike = np.abs(blur / blur[0] - 1).max(axis=(1, 2))[::_CENTERS_STEP] < _POINTLIKE
+    shift = np.where(pointlike, 0, likeliest - scales[::_CENTERS_STEP])
+    shift = gaussian_filter1d(shift, 2, mode="nearest")
+    at = np.clip(scales + np.interp(scales, scales[::_CENTERS_STEP], shift), 0, scales[-1])
+    return np.exp(CubicSpline(scales, np.log(mixed))(at))
 
 
 @dataclass(frozen=True)

@@ -99,8 +99,10 @@ class Analysis:
         estimation = self.estimation
         common: dict[str, Any] = {"linearize": estimation.linearize, "intensity_range": span}
         family = estimation.family()
-        key = (fingerprint(image), estimation.noise_variance, estimation.shot_noise)
-        key += (family, estimation.window, estimation.stride, estimation.mode, *common.values())
+        key = (
+            *(fingerprint(image), estimation.noise_variance, estimation.shot_noise, family),
+            *(estimation.window, estimation.stride, estimation.mode, *common.values()),
+        )
 
         def estimate() -> BlurCandidates:
             noise: float | ShotNoise | None = estimation.noise_variance
