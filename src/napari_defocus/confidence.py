@@ -23,7 +23,7 @@ _TEMPER = 0.7
 _WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.419, -0.280, 0.709
 """Fitted by benchmarks/confidence.py, which also says what they are worth."""
 
-_LEAST_ODDS, _LEAST_JUMP = 1e-3, 0.05
+_LEAST_ODDS, _LEAST_JUMP = 5e-4, 0.05
 
 
 def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
