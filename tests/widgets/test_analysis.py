@@ -3,7 +3,9 @@ import pytest
 from napari.components import ViewerModel
 
 from napari_defocus import Annulus, Polygon, ShotNoise, simulate_defocus
+from napari_defocus.other_process import run_elsewhere
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
+from napari_defocus.widgets import analysis as analysis_of_widgets
 from napari_defocus.widgets.analysis import Analysis, Comparison
 from napari_defocus.widgets.kept_candidates import KeptCandidates
 from napari_defocus.widgets.layers import shown_plane
@@ -90,7 +92,7 @@ def test_lens_light_and_noise_reach_the_method(viewer, layer, method):
         KeptCandidates()
     )
     [estimation] = method.estimations
-    assert estimation["psf"] == method.noises[0]["psf"] == Polygon(5)
+    assert estimation["psf"] == Polygon(5)
     assert estimation["linearize"] == method.noises[0]["linearize"] == "srgb"
     assert estimation["noise_variance"] == ShotNoise(1e-5, 1e-4)
 
@@ -129,6 +131,28 @@ def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, metho
     analysis(viewer, layer, threshold=2.0).run(KeptCandidates())
     for call in (method.estimations[0], method.labelings[0], method.segmentations[0]):
         assert call["intensity_range"] == (0.0, 4095.0)
+
+
+def test_large_pictures_are_cut_in_another_process_with_the_same_result(viewer, monkeypatch):
+    picture = np.random.default_rng(0).uniform(0, 1, (48, 64, 3)).astype(np.float32)
+    layer = viewer.add_image(picture, rgb=True)
+    kept, elsewhere = KeptCandidates(), []
+
+    def spy(function, *args, **keywords):
+        elsewhere.append(function.__name__)
+        return run_elsewhere(function, *args, **keywords)
+
+    monkeypatch.setattr(analysis_of_widgets, "run_elsewhere", spy)
+    here = analysis(viewer, layer, threshold=2.0).run(kept)
+    assert not elsewhere
+    monkeypatch.setattr(analysis_of_widgets, "LARGE", picture[..., 0].size - 1)
+    there = analysis(viewer, layer, threshold=2.0).run(kept)
+    assert elsewhere == ["label_blur_map", "segment_in_focus"]
+    for (data, keywords, kind), (same_data, same_keywords, same_kind) in zip(
+        here, there, strict=True
+    ):
+        np.testing.assert_array_equal(data, same_data)
+        assert (keywords["name"], kind) == (same_keywords["name"], same_kind)
 
 
 def test_progress_rises_from_0_to_1(viewer, layer, method):

@@ -6,7 +6,7 @@ from napari.components import ViewerModel
 from skimage.data import gravel
 
 from napari_defocus import simulate_defocus
-from napari_defocus.widgets import panel
+from napari_defocus.widgets import analysis, panel
 from napari_defocus.widgets.kept_candidates import KeptCandidates
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
 
@@ -53,8 +53,16 @@ def test_sharp_half_and_blurred_half_are_told_apart(viewer, run, qtbot, dtype):
     assert tuple(mask.scale) == (0.5, 0.5)
 
 
-@pytest.mark.parametrize("step", ["Estimating blur", "Making the map coherent"])
-def test_cancel_acts_within_a_second_in_every_step(viewer, run, qtbot, step):
+@pytest.mark.parametrize(
+    ("step", "large"),
+    [
+        ("Estimating blur", analysis.LARGE),
+        ("Making the map coherent", analysis.LARGE),
+        ("Making the map coherent", 300_000),
+    ],
+)
+def test_cancel_acts_within_a_second_in_every_step(viewer, run, qtbot, monkeypatch, step, large):
+    monkeypatch.setattr(analysis, "LARGE", large)
     viewer.add_image(half_blurred(64, 64), name="what compiles everything")
     with qtbot.waitSignal(run()[1].finished, timeout=120_000):
         pass

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.other_process import run_elsewhere
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.settings import (
     COMPARED_PSFS,
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 
 ESTIMATION_SHARE = 0.6
 """Of the time of a run; the rest is labelling."""
+
+LARGE = 1_000_000
+"""In px: larger pictures are labelled in another process, as cuts would stop the window."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +136,8 @@ class Analysis:
     ) -> list[LayerDataTuple]:
         from napari_defocus import confidence_map, label_blur_map
 
-        blur_map = label_blur_map(
+        blur_map = _cut(
+            label_blur_map,
             candidates,
             image,
             smoothness=self.estimation.smoothness,
@@ -156,7 +162,8 @@ class Analysis:
         from napari_defocus import segment_in_focus
 
         assert self.mask is not None
-        mask = segment_in_focus(
+        mask = _cut(
+            segment_in_focus,
             candidates,
             image,
             threshold=self.mask.threshold,
@@ -169,6 +176,18 @@ class Analysis:
         used = self.mask, self.estimation, candidates.noise_variance
         name = self.seeds.name if self.seeds else None
         return [in_focus_layer(self.plane, mask, *used, name)]
+
+
+def _cut(
+    function: Callable[..., NDArray[Any]],
+    candidates: BlurCandidates,
+    image: NDArray[Any],
+    **keywords: Any,
+) -> NDArray[Any]:
+    """Call a function that cuts graphs: in this thread if the picture is small."""
+    if image.shape[0] * image.shape[1] > LARGE:
+        return run_elsewhere(function, candidates, image, **keywords)
+    return function(candidates, image, **keywords)
 
 
 @dataclass(frozen=True, kw_only=True)

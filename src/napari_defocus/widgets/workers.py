@@ -13,7 +13,7 @@ from qtpy.QtCore import QObject, Signal
 from napari_defocus.progress import Cancelled, Progress
 
 REPORT_INTERVAL = 0.05
-"""Seconds between two reports that reach the main thread."""
+"""Seconds between two reports of one step that reach the main thread."""
 
 STEPS = 100
 
@@ -79,7 +79,7 @@ class Run(QObject):
         self._owner = owner
         self._function = function
         self._description = description
-        self._last_report = 0.0
+        self._last_report = ("", 0.0)
         self._worker = create_worker(
             self._work, _connect={"returned": self._on_returned}, _start_thread=False
         )
@@ -117,8 +117,9 @@ class Run(QObject):
         if self.is_cancelled:
             raise Cancelled
         now = time.monotonic()
-        if now - self._last_report >= REPORT_INTERVAL:
-            self._last_report = now
+        last_step, reported = self._last_report
+        if step != last_step or now - reported >= REPORT_INTERVAL:
+            self._last_report = (step, now)
             self._reported.emit(step, done)
 
     def _on_reported(self, step: str, done: float) -> None:
