@@ -2,10 +2,10 @@
 
     python benchmarks/in_focus.py --data FOLDER_OF_PHOTOGRAPHS
 
-The outlines are in benchmarks/masks; a rim of 4 px along them and what is marked as unsure does not
+The outlines are in benchmarks/masks; a rim of 4 px along them and what is marked as unsure do not
 count. Prints a Markdown table: the area under the ROC curve (blurred against in focus) of the blur
-map, of the local variance of the Laplacian and of PyPI's blur-detector, as in separation.py; and the
-intersection over union of the default mask, and of the map up to 2 px.
+map, of the local variance of the Laplacian and of PyPI's blur-detector, as in separation.py; and
+the intersection over union of the default mask, and of the map up to 2 px.
 """
 
 import argparse

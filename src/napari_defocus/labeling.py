@@ -171,6 +171,7 @@ def label_blur_map(
     """
     check_weights(smoothness, color_sigma)
     picture = picture_of(candidates, image, intensity_range)
+    progress("Making the map coherent", 0.0)
     candidates = on_own_side(candidates, picture.luminance)
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = data_term(candidates)
