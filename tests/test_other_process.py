@@ -159,10 +159,10 @@ def test_death_of_the_process_is_said_and_the_next_call_gets_a_new_one():
     if hasattr(signal, "SIGKILL"):
         with pytest.raises(MemoryError, match="memory ran out"):
             run_elsewhere(errands.dying, errands.ended_by_the_system)
-    pid = run_elsewhere(errands.process_id)
-    psutil.Process(pid).kill()
-    wait_until(lambda: not is_running(pid))
-    assert run_elsewhere(errands.process_id) not in (pid, os.getpid())
+    kept = psutil.Process(run_elsewhere(errands.process_id))
+    kept.kill()
+    kept.wait(timeout=10)
+    assert run_elsewhere(errands.process_id) not in (kept.pid, os.getpid())
 
 
 @pytest.mark.usefixtures("_none_is_kept")
