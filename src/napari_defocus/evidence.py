@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -97,9 +98,20 @@ def limited_depth(candidates: BlurCandidates) -> Float32:
     The whole curve keeps what a broad or shallow maximum says. A window that stands for n
     places along the border is not n windows; it is weighted by 1 / sqrt(n).
     """
-    depth = candidates.curve.max(axis=2, keepdims=True) - candidates.curve
     weight = evidence_share(candidates) / np.sqrt(candidates.places_of_window())
-    return weight[..., None].astype(np.float32) * np.minimum(depth, _DEPTH)
+    return _limited(candidates.curve, weight.astype(np.float32), _DEPTH)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _limited(curve: Float32, weight: Float32, depth: np.float32) -> Float32:
+    limited = np.empty_like(curve)
+    for row in prange(curve.shape[0]):
+        for column in range(curve.shape[1]):
+            top = curve[row, column].max()
+            for scale in range(curve.shape[2]):
+                below = min(top - curve[row, column, scale], depth)
+                limited[row, column, scale] = weight[row, column] * below
+    return limited
 
 
 def evidence_share(candidates: BlurCandidates) -> Float32:

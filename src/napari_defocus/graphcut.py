@@ -64,7 +64,7 @@ class _Sweep:
 
 
 _CLOSE = _Sweep(reach=1, grow=1, step=1)
-_FAR = _Sweep(reach=6, grow=3, step=2)
+_FAR = _Sweep(reach=16, grow=6, step=4)
 
 
 def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent) -> Labels:
@@ -128,9 +128,8 @@ def improve(
 ) -> Labels:
     """Lower the energy of labels, such as those of a coarser level.
 
-    Nodes are offered their own best label and those beside them; then each label is offered
-    where it may win, which is near where it is: at first nearby, then farther, and again nearby
-    where that changed anything.
+    Nodes are offered their own best label and those beside them; then labels are offered where
+    they may win, which is near where they are: at first far around, then nearby.
 
     Parameters
     ----------
@@ -148,38 +147,34 @@ def improve(
     labels = _fuse_labels(start, data.argmin(axis=2).astype(np.int32), data, weights)
     for beside in (minimum_filter, maximum_filter):
         labels = _fuse_labels(labels, beside(labels, 3), data, weights)
-    free = np.ones(labels.shape, bool)
-    labels = _expand_near(labels, _CLOSE, free, data, weights, within(progress, 0, 0.3))
-    before = labels
     if everywhere:
+        labels = _expand_near(labels, _CLOSE, data, weights, within(progress, 0, 0.3))
         for alpha in range(0, data.shape[2], _EVERYWHERE):
             labels = expand(labels, alpha, data, weights)
     else:
-        labels = _expand_near(labels, _FAR, free, data, weights, within(progress, 0.3, 0.8))
-    free = maximum_filter(labels != before, 7)
-    return _expand_near(labels, _CLOSE, free, data, weights, within(progress, 0.8, 1))
+        labels = _expand_near(labels, _FAR, data, weights, within(progress, 0, 0.6))
+    return _expand_near(labels, _CLOSE, data, weights, within(progress, 0.6, 1))
 
 
 def _expand_near(
     labels: Labels,
     sweep: _Sweep,
-    free: Mask,
     data: Float32,
     weights: Float32,
     progress: Progress,
 ) -> Labels:
-    """Offer labels to the free nodes near those that have about this label."""
+    """Offer labels to the nodes near those that have about this label."""
     count = data.shape[2]
     for alpha in range(0, count, sweep.step):
         progress(_STEP, alpha / count)
-        place = _near(labels, alpha, sweep.reach, sweep.grow, free)
+        place = _near(labels, alpha, sweep.reach, sweep.grow)
         labels = _expand_at(labels, alpha, place, data, weights)
     return labels
 
 
 @njit(cache=True, nogil=True)
-def _near(labels: Labels, alpha: int, reach: int, grow: int, free: Mask) -> Places:
-    """Return the free nodes of other labels around those whose label is near alpha."""
+def _near(labels: Labels, alpha: int, reach: int, grow: int) -> Places:
+    """Return the nodes of other labels around those whose label is near alpha."""
     rows, columns = labels.shape
     near = np.zeros((rows, columns), np.bool_)
     first, last = rows, -1
@@ -194,7 +189,7 @@ def _near(labels: Labels, alpha: int, reach: int, grow: int, free: Mask) -> Plac
     count = 0
     for i in range(max(first, 0), min(last + 1, rows)):
         for j in range(columns):
-            if near[i, j] and free[i, j] and labels[i, j] != alpha:
+            if near[i, j] and labels[i, j] != alpha:
                 place[count] = i * columns + j
                 count += 1
     return place[:count].copy()
