@@ -23,6 +23,7 @@ from napari_defocus.boundaries import (
     pixel_weights,
 )
 from napari_defocus.candidates import _pick_maxima
+from napari_defocus.evidence import _limited
 from napari_defocus.gabor import window_centers
 from napari_defocus.graphcut import (
     _RELAXATION,
@@ -313,6 +314,15 @@ def test_nodes_near_a_label_are_those_around_nodes_that_have_about_it():
     assert _near(labels, 5, 0, 1).tolist() == [5, 6, 7, 10, 12]
     assert _near(labels, 5, 1, 1).tolist() == [5, 6, 7, 10, 12]
     assert _near(labels, 8, 1, 1).tolist() == [8, 9, 13, 14]
+
+
+def test_limited_depth_is_weighted_and_0_at_the_top():
+    rng = np.random.default_rng(0)
+    curve = rng.normal(0, 10, (3, 4, 7)).astype(np.float32)
+    weight = rng.random((3, 4)).astype(np.float32)
+    depth = np.minimum(curve.max(axis=2, keepdims=True) - curve, 15)
+    found = _limited(curve, weight, np.float32(15))
+    np.testing.assert_allclose(found, weight[..., None] * depth, rtol=1e-5)
 
 
 def test_mean_and_variance_are_those_of_the_tempered_likelihood_nearby():
