@@ -82,7 +82,7 @@ class Problem:
     @classmethod
     def of(cls, picture: np.ndarray) -> "Problem":
         prepared = prepare_image(picture, None)
-        candidates = on_own_side(estimate_candidates(picture), prepared.luminance)
+        candidates = on_own_side(estimate_candidates(picture), prepared)
         blocks = Blocks.around(
             candidates.row_centers, candidates.column_centers, candidates.image_shape
         )

@@ -5,6 +5,7 @@ import pytest
 
 from napari_defocus import estimate_blur_map, estimate_candidates, label_blur_map, segment_in_focus
 from napari_defocus.evidence import evidence_share, on_own_side
+from napari_defocus.image import prepare_image
 from napari_defocus.layered import simulate_layered_defocus
 
 
@@ -34,7 +35,7 @@ def test_sharp_things_do_not_grow_by_half_a_window(halves):
 def test_windows_beside_something_sharp_ask_their_own_side(halves):
     picture, _ = halves
     candidates = estimate_candidates(picture)
-    own = on_own_side(candidates, picture)
+    own = on_own_side(candidates, prepare_image(picture))
     at = np.searchsorted(candidates.column_centers, 88)
     before, after = (
         np.median(each.scales[each.curve[10:30, at].argmax(axis=1)]) for each in (candidates, own)
@@ -46,7 +47,7 @@ def test_windows_beside_something_sharp_ask_their_own_side(halves):
 def test_slopes_and_the_papers_mode_are_left_alone(ramp_picture):
     for mode in ("curve", "paper"):
         candidates = estimate_candidates(ramp_picture, mode=mode)
-        own = on_own_side(candidates, ramp_picture)
+        own = on_own_side(candidates, prepare_image(ramp_picture))
         assert np.mean(own.curve != candidates.curve) < 0.02
 
 

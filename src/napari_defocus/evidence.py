@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from napari_defocus.candidates import BlurCandidates
+from napari_defocus.image import PreparedImage
 
 Float32 = NDArray[np.float32]
 
@@ -43,21 +44,21 @@ _INFORMATIVE, _STEEPNESS = 4.0, 3.0
 """Noise alone gives averaged curves a depth of 0.05 to 0.9, rarely 3; texture 8 to 15."""
 
 
-def on_own_side(candidates: BlurCandidates, luminance: Float32) -> BlurCandidates:
+def on_own_side(candidates: BlurCandidates, picture: PreparedImage) -> BlurCandidates:
     """Replace the curves of windows that are sharp only because of what lies beside them.
 
     Parameters
     ----------
     candidates : BlurCandidates
         Of the mode "curve"; those of "paper" are returned as they are.
-    luminance : (H, W) float32 ndarray
-        Of the same picture.
+    picture : PreparedImage
+        The same.
     """
     if candidates.mode == "paper":
         return candidates
     curve = candidates.curve
     rows, columns = np.indices(curve.shape[:2])
-    row_shift, column_shift = _shifts(candidates, luminance)
+    row_shift, column_shift = _shifts(candidates, picture)
     row = np.clip(np.rint(rows + row_shift), 0, curve.shape[0] - 1).astype(int)
     column = np.clip(np.rint(columns + column_shift), 0, curve.shape[1] - 1).astype(int)
     best = candidates.scales[curve.argmax(axis=2)]
@@ -67,10 +68,12 @@ def on_own_side(candidates: BlurCandidates, luminance: Float32) -> BlurCandidate
     return replace(candidates, curve=own)
 
 
-def _shifts(candidates: BlurCandidates, luminance: Float32) -> Float32:
+def _shifts(candidates: BlurCandidates, picture: PreparedImage) -> Float32:
     """Return how far each window moves away from where its fine details are: (2, R, C) windows."""
     stride, window = candidates.stride, candidates.window
-    details = luminance - gaussian_filter(luminance, _DETAIL)
+    details = picture.luminance - gaussian_filter(picture.luminance, _DETAIL)
+    if picture.opaque is not None:
+        details[~picture.opaque] = 0
     energy = gaussian_filter(details**2, stride / 2)
     centers = (candidates.row_centers, candidates.column_centers)
     sampled = energy[np.ix_(*(np.rint(center).astype(int) for center in centers))]

@@ -172,7 +172,7 @@ def label_blur_map(
     check_weights(smoothness, color_sigma)
     picture = picture_of(candidates, image, intensity_range)
     progress("Making the map coherent", 0.0)
-    candidates = on_own_side(candidates, picture.luminance)
+    candidates = on_own_side(candidates, picture)
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = data_term(candidates)
     block_cost = cost * blocks.area[..., None]
@@ -339,7 +339,7 @@ def labeling_energy(
             f"{largest:g} px, those of the candidates"
         )
     picture = picture_of(candidates, image, intensity_range)
-    candidates = on_own_side(candidates, picture.luminance)
+    candidates = on_own_side(candidates, picture)
     return energy_of_pixels(
         labels.astype(np.int32),
         data_term(candidates),

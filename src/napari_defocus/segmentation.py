@@ -95,7 +95,7 @@ def segment_in_focus(
     fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, candidates.image_shape))
     picture = picture_of(candidates, image, intensity_range)
     step = "Separating focus from blur"
-    candidates = on_own_side(candidates, picture.luminance)
+    candidates = on_own_side(candidates, picture)
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
     cost = focus_cost(candidates, threshold)
     share = 1.0 if candidates.mode == "paper" else _BLOCK_SHARE
