@@ -329,11 +329,11 @@ def test_energy_grows_with_smoothness_unless_the_map_is_flat(small):
 @pytest.mark.parametrize(
     ("blur_map", "settings", "words"),
     [
-        (np.zeros((45, 61)), {}, r"blur_map has the shape \(45, 61\)"),
-        (np.zeros((45, 62, 1)), {}, "blur_map has the shape"),
+        (np.zeros((45, 61)), {}, r"blur_map has shape \(45, 61\)"),
+        (np.zeros((45, 62, 1)), {}, "blur_map has shape"),
         (np.full((45, 62), 8.1), {}, "blur_map holds 8.1 to 8.1"),
         (np.full((45, 62), -0.1), {}, "from 0 to 8 px"),
-        (np.full((45, 62), np.nan), {}, "blur_map holds nan"),
+        (np.full((45, 62), np.nan), {}, "blur_map has NaN"),
         (np.zeros((45, 62)), {"smoothness": -1}, "smoothness is -1"),
         (np.zeros((45, 62)), {"color_sigma": 0}, "color_sigma is 0"),
     ],
@@ -342,6 +342,13 @@ def test_energy_of_what_is_no_map_is_a_value_error(small, blur_map, settings, wo
     picture, candidates = small
     with pytest.raises(ValueError, match=words):
         labeling_energy(blur_map, candidates, picture, **settings)
+
+
+@pytest.mark.parametrize("dtype", [complex, str, object])
+def test_energy_of_what_holds_no_real_numbers_is_a_type_error(small, dtype):
+    picture, candidates = small
+    with pytest.raises(TypeError, match="blur_map has dtype"):
+        labeling_energy(np.zeros((45, 62)).astype(dtype), candidates, picture)
 
 
 def test_energy_of_another_picture_is_a_value_error(small):

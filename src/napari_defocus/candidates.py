@@ -188,8 +188,9 @@ def estimate_candidates(
         Distance between analysed windows in px. The powers are band-limited by their window:
         4 loses nothing; 1 is the reference.
     mode : {"curve", "paper"}, optional
-        "paper" is the likelihood (5) as it stands. "curve" divides each gradient's logarithm
-        of it by the dispersion, which limits what windows say that the model does not fit.
+        "paper" is the likelihood (5) as it stands. "curve" expects that windows hold more than
+        one scale, and divides each gradient's logarithm of it by the dispersion, which limits
+        what windows say that the model does not fit.
     spectra : {"exact", "fitted"}, optional
         Blur spectra (6) tabulated from the family at every scale, or as the fit (12).
     search : {"lattice", "fixed-point"}, optional

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from napari_defocus.candidates import BlurCandidates
-from napari_defocus.evidence import average_around, informed_share
+from napari_defocus.evidence import averaged_curve, informed_share
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -15,7 +15,6 @@ Float64 = NDArray[np.floating]
 TOLERANCE = 0.5
 """What counts as right, in px."""
 
-_DEPTH = 15.0
 _JUMP_SIDE = 31
 _ROUNDING = 1e-4
 
@@ -66,7 +65,7 @@ def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     >>> confidence_map(candidates, label_blur_map(candidates, picture)).shape
     (100, 100)
     """
-    radius = _checked_map(blur_map, candidates.image_shape)
+    radius = checked_map(blur_map, candidates.image_shape)
     rows, columns = candidates.row_centers, candidates.column_centers
     jump = maximum_filter(radius, _JUMP_SIDE) - minimum_filter(radius, _JUMP_SIDE)
     at_windows = np.ix_(np.rint(rows).astype(int), np.rint(columns).astype(int))
@@ -97,8 +96,7 @@ def likelihood_share(
     depth : ndarray
         Of the averaged curve, from its top to its bottom, at most 15.
     """
-    curve = np.maximum(candidates.curve - candidates.curve.max(axis=2, keepdims=True), -_DEPTH)
-    curve = average_around(curve, candidates.stride)
+    curve = averaged_curve(candidates)
     top = curve.max(axis=2, keepdims=True)
     likelihood = np.exp(_TEMPER * (curve - top))
     agrees = np.abs(candidates.scales - radius[..., None]) <= TOLERANCE + _ROUNDING
@@ -106,7 +104,8 @@ def likelihood_share(
     return share, agrees.mean(axis=2), (top - curve.min(axis=2, keepdims=True))[..., 0]
 
 
-def _checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:
+def checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:
+    """Check a blur map against the height and width of its picture, and return it as float32."""
     radius = np.asarray(blur_map)
     if radius.dtype.kind not in "uif":
         raise TypeError(f"blur_map has dtype {radius.dtype}; it takes real numbers")

@@ -119,15 +119,18 @@ def _limited(curve: Float32, weight: Float32, depth: np.float32) -> Float32:
 
 def evidence_share(candidates: BlurCandidates) -> Float32:
     """Return how far there is evidence around each window: 0 where there is no texture, to 1."""
-    some = candidates.curve[..., ::_EVERY]
-    curve = np.maximum(some - some.max(axis=2, keepdims=True), -_DEPTH)
-    return informed_share(np.ptp(average_around(curve, candidates.stride), axis=2))
+    return informed_share(np.ptp(averaged_curve(candidates, every=_EVERY), axis=2))
 
 
-def average_around(curve: Float32, stride: int) -> Float32:
-    """Average curves, (R, C, n), over the windows that see about the same."""
-    sigma = _NEIGHBORHOOD / stride
-    return gaussian_filter(curve, (sigma, sigma, 0))
+def averaged_curve(candidates: BlurCandidates, every: int = 1) -> Float32:
+    """Average log p(r), of limited depth, over the windows that see about the same: (R, C, n).
+
+    Only at every so many scales, if `every` is above 1.
+    """
+    some = candidates.curve[..., ::every]
+    limited = np.maximum(some - some.max(axis=2, keepdims=True), -_DEPTH)
+    sigma = _NEIGHBORHOOD / candidates.stride
+    return gaussian_filter(limited, (sigma, sigma, 0))
 
 
 def informed_share(depth: Float32) -> Float32:

@@ -1,16 +1,17 @@
 """Labels of low energy on a grid of nodes, by moves that are minimum cuts.
 
 The energy is (14): sum_x D_x(l_x) + sum_(x, v) w_xv |l_x - l_v|, over the 8 neighbours of each
-node. Two kinds of moves change many labels at once, each the best of its kind:
+node. Two kinds of minimum cuts change many labels at once:
 
 - a fusion offers every node one other label, any label, and is a plain minimum cut, because
   |a - b| is submodular in "the node has the larger of its two labels"; it is an expansion if all
   offers are the same label;
-- a range move finds the best labels within a range of labels at each node (Ishikawa's graph,
-  one node for each threshold within the range); over all labels it is the exact optimum.
+- Ishikawa's graph, with a node for each threshold between two labels, gives the exact optimum
+  over all labels; it is for few nodes, or few labels.
 
-They are applied from coarse to fine. Most of the flow of a cut is found by passing messages
-before PyMaxflow looks for paths. This is the only file that knows PyMaxflow.
+The coarsest grid is solved exactly; fusions go on from there. Most of the flow of a cut is
+found by passing messages before PyMaxflow looks for paths. This is the only file that knows
+PyMaxflow.
 """
 
 from __future__ import annotations
@@ -109,13 +110,12 @@ def solve_exactly(data: Float32, weights: Float32) -> Labels:
     Parameters and result are those of `minimize_energy`; the cut has R x C x (L - 1) nodes.
     """
     rows, columns, count = data.shape
-    low = np.zeros((rows, columns), np.int32)
     if count == 2:
+        low = np.zeros((rows, columns), np.int32)
         return _fuse_labels(low, low + np.int32(1), data, weights)
-    high = low + np.int32(count - 1)
     edges = Edges.of_grid(weights)
-    best = best_in_range(low.ravel(), high.ravel(), data.reshape(-1, count), edges)
-    return best.reshape(rows, columns)
+    graph = _threshold_graph(data.reshape(-1, count), edges.first, edges.second, edges.weight)
+    return _sink_side(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
 
 
 def improve(
@@ -351,73 +351,34 @@ def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
     return energy
 
 
-def best_in_range(low: Labels, high: Labels, data: Float32, edges: Edges) -> Labels:
-    """Find the labels of least energy with low <= label <= high at every node: one minimum cut.
-
-    Parameters
-    ----------
-    low, high : (N,) int32 ndarray
-        Both ends included.
-    data : (N, L) float32 ndarray
-        D, the cost of each label at each node.
-    edges : Edges
-
-    Returns
-    -------
-    (N,) int32 ndarray
-    """
-    start = np.concatenate([[0], np.cumsum(high - low)])
-    cost, *arcs = _threshold_graph(low, high, data, edges.first, edges.second, edges.weight, start)
-    passed = _sink_side(cost, *arcs)
-    total = np.concatenate([[0], np.cumsum(passed)])
-    return (low + total[start[1:]] - total[start[:-1]]).astype(np.int32)
-
-
 @njit(cache=True, nogil=True)
 def _threshold_graph(
-    low: Labels,
-    high: Labels,
-    data: Float32,
-    first: Labels,
-    second: Labels,
-    weight: Float32,
-    start: NDArray[np.int64],
+    data: Float32, first: Labels, second: Labels, weight: Float32
 ) -> tuple[Float64, Labels, Labels, Float64, Float64]:
     """Return unary costs and arcs over the variables "the label of node i is above t".
 
-    D telescopes into one unary cost a variable, w |l - m| into one pair a common threshold;
-    thresholds that the other node cannot cross are unary costs too.
+    D, (N, L), telescopes into one unary cost a variable, w |l - m| into one pair a threshold.
     """
-    nodes = len(low)
-    pairs = start[-1]
-    for edge in range(len(first)):
-        i, j = first[edge], second[edge]
-        pairs += max(0, min(high[i], high[j]) - max(low[i], low[j]))
-    cost = np.zeros(start[-1])
-    tail, head = np.empty(pairs, np.int32), np.empty(pairs, np.int32)
-    forth, back = np.empty(pairs), np.zeros(pairs)
+    nodes, labels = data.shape
+    steps = labels - 1
+    arcs = nodes * max(steps - 1, 0) + len(first) * steps
+    cost = np.empty(nodes * steps)
+    tail, head = np.empty(arcs, np.int32), np.empty(arcs, np.int32)
+    forth, back = np.empty(arcs), np.zeros(arcs)
     count = 0
     for i in range(nodes):
-        for t in range(low[i], high[i]):
-            variable = start[i] + t - low[i]
-            cost[variable] += data[i, t + 1] - data[i, t]
-            if t + 1 < high[i]:
+        for t in range(steps):
+            variable = i * steps + t
+            cost[variable] = data[i, t + 1] - data[i, t]
+            if t + 1 < steps:
                 tail[count], head[count], forth[count] = variable, variable + 1, _NEVER
                 count += 1
     for edge in range(len(first)):
-        i, j, w = first[edge], second[edge], weight[edge]
-        for t in range(low[i], high[i]):
-            variable = start[i] + t - low[i]
-            if low[j] <= t < high[j]:
-                tail[count], head[count] = variable, start[j] + t - low[j]
-                forth[count], back[count] = w, w
-                count += 1
-            else:
-                cost[variable] += w if t >= high[j] else -w
-        for t in range(low[j], high[j]):
-            if not low[i] <= t < high[i]:
-                cost[start[j] + t - low[j]] += w if t >= high[i] else -w
-    return cost, tail[:count], head[:count], forth[:count], back[:count]
+        for t in range(steps):
+            tail[count], head[count] = first[edge] * steps + t, second[edge] * steps + t
+            forth[count], back[count] = weight[edge], weight[edge]
+            count += 1
+    return cost, tail, head, forth, back
 
 
 def _sink_side(cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64) -> Mask:

@@ -20,6 +20,7 @@ from napari_defocus.boundaries import (
     label_pixels,
 )
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
+from napari_defocus.confidence import checked_map
 from napari_defocus.evidence import evidence_share, limited_depth, on_own_side
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.image import PreparedImage, prepare_image
@@ -49,14 +50,15 @@ _LEAST_SMOOTHNESS = 1e-12
 _CARRIED_IN = 0.5
 
 
-def data_term(candidates: BlurCandidates) -> Float32:
+def data_term(candidates: BlurCandidates, curve_weight: np.float32 = _CURVE_WEIGHT) -> Float32:
     """Return D of (14): the cost of each of `candidates.scales` at each window, (R, C, L).
 
-    In the mode "paper", -log of the artificial likelihood; in "curve", 24 times the limited depth.
+    In the mode "paper", -log of the artificial likelihood; in "curve", `curve_weight` times the
+    limited depth.
     """
     if candidates.mode == "paper":
         return -np.log(artificial_likelihood(candidates)).astype(np.float32)
-    return _CURVE_WEIGHT * limited_depth(candidates)
+    return curve_weight * limited_depth(candidates)
 
 
 def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
@@ -301,15 +303,15 @@ def labeling_energy(
     Returns
     -------
     float
-        In units of 1 / 12 of log-likelihood; of log-likelihood in the mode "paper".
+        In units of 1 / 24 of log-likelihood; of log-likelihood in the mode "paper".
 
     Raises
     ------
     TypeError
-        If `image` has no real dtype.
+        If `image` has no real dtype or `blur_map` holds no real numbers.
     ValueError
-        If `blur_map` has not the shape of the picture, or values outside the scales of
-        `candidates`, and as in `label_blur_map`.
+        If `blur_map` has not the shape of the picture, or values that are not finite or outside
+        the scales of `candidates`, and as in `label_blur_map`.
 
     Examples
     --------
@@ -325,17 +327,12 @@ def labeling_energy(
     True
     """
     check_weights(smoothness, color_sigma)
-    scales = np.asarray(blur_map)
-    if scales.shape != candidates.image_shape:
-        raise ValueError(
-            f"blur_map has the shape {scales.shape}; these candidates are of a picture of the "
-            f"shape {candidates.image_shape}"
-        )
+    scales = checked_map(blur_map, candidates.image_shape)
     largest = float(candidates.scales[-1])
     labels = np.rint(scales / LABEL_STEP)
     if not ((labels >= 0) & (labels < len(candidates.scales))).all():
         raise ValueError(
-            f"blur_map holds {scales.min()} to {scales.max()}; it takes scales from 0 to "
+            f"blur_map holds {scales.min():g} to {scales.max():g}; it takes scales from 0 to "
             f"{largest:g} px, those of the candidates"
         )
     picture = picture_of(candidates, image, intensity_range)

@@ -179,7 +179,8 @@ def estimate_shot_noise(
 
 def noise_variance_of(picture: PreparedImage) -> float:
     """Find the noise variance of a prepared picture, see `estimate_noise_variance`."""
-    return _floor(_local_details(picture, _FINEST)[0]) + _compression_variance(picture)
+    finest = _floor(_local_details(picture, _FINEST)[0])
+    return finest + _compression_variance(picture, finest)
 
 
 def _floor(details: NDArray[np.floating]) -> float:
@@ -190,8 +191,7 @@ def _local_details(picture: PreparedImage, taps: Float64) -> tuple[Float64, Floa
     """Return the local variance of fine details, and the intensity, around every pixel.
 
     `taps` find the details in each axis. For white noise the former is its variance. Places
-    that are constant to the last bit
-    (clipped, painted) or transparent are left out.
+    that are constant to the last bit (clipped, painted) or transparent are left out.
     """
     luminance = picture.luminance
     details = correlate1d(correlate1d(luminance, taps, axis=0), taps, axis=1)
@@ -205,14 +205,17 @@ def _local_details(picture: PreparedImage, taps: Float64) -> tuple[Float64, Floa
     return energy[kept] / alive[kept], mean[kept]
 
 
-def _compression_variance(picture: PreparedImage) -> float:
-    """Return how much noise is not in the finest details because of JPEG; 0 without it."""
+def _compression_variance(picture: PreparedImage, finest: float) -> float:
+    """Return how much noise is not in the finest details because of JPEG; 0 without it.
+
+    `finest` is the variance that is in them.
+    """
     luminance = picture.luminance
     origin = _origin_of_blocks(luminance)
     step = _quantization_step(luminance, origin or (0, 0))
     if origin is None and step <= 1:
         return 0.0
-    finest, fine = (_floor(_local_details(picture, taps)[0]) for taps in (_FINEST, _FINE))
+    fine = _floor(_local_details(picture, _FINE)[0])
     return max(0.0, fine - finest) + _PROCESSING_VARIANCE + step**2 / 12 / _LEVELS**2 / 2
 
 
@@ -284,11 +287,10 @@ def _comb(values: Float32) -> int:
 
 def shot_noise_of(picture: PreparedImage) -> ShotNoise:
     """Find the growth of the noise of a prepared picture, see `estimate_shot_noise`."""
-    everywhere, compression = (
-        _local_details(picture, _FINEST),
-        _compression_variance(picture),
-    )
-    variance = _floor(everywhere[0]) + compression
+    everywhere = _local_details(picture, _FINEST)
+    finest = _floor(everywhere[0])
+    compression = _compression_variance(picture, finest)
+    variance = finest + compression
     if variance == 0:
         raise ValueError("image has no noise; its growth with the intensity cannot be found")
     details, intensity = (values[::_SHOT_NOISE_STEP] for values in everywhere)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks, label_pixels
 from napari_defocus.candidates import BlurCandidates
-from napari_defocus.evidence import limited_depth, on_own_side
+from napari_defocus.evidence import on_own_side
 from napari_defocus.graphcut import solve_exactly
 from napari_defocus.labeling import data_term, picture_of
 from napari_defocus.progress import Progress, silent, within
@@ -144,13 +144,9 @@ def _reach(candidates: BlurCandidates) -> int:
 def focus_cost(candidates: BlurCandidates, threshold: float) -> Float32:
     """Return D of (18) at each window, blurred and in focus: (R, C, 2).
 
-    The mode "curve" takes 10 times the limited depth: at most 150, where the paper's artificial
-    likelihood costs at most 55, so that the paper's smoothness goes with both.
+    The mode "curve" takes 10 times the limited depth, at most 150; the paper's artificial
+    likelihood costs at most 55.
     """
-    cost = (
-        data_term(candidates)
-        if candidates.mode == "paper"
-        else _CURVE_WEIGHT * limited_depth(candidates)
-    )
+    cost = data_term(candidates, _CURVE_WEIGHT)
     sharp = candidates.scales <= threshold + 1e-9
     return np.stack([cost[..., ~sharp].min(axis=2), cost[..., sharp].min(axis=2)], axis=2)

@@ -30,7 +30,11 @@ _AS_GOOD = 1.1
 _INDISTINCT = 1e-6
 
 _SPREAD, _LEAST_SPREAD = 0.06, 1e-3
+"""Standard deviation of the scales within a window: relative, and at least so many px."""
+
 _SHARP_SHARE, _SHARP_BELOW, _SHARP_FALL = 5e-4, 0.625, 6
+"""Share of sharp light; from which part of the largest scale it falls, and with which power."""
+
 _WEAK_NOISE, _POINTLIKE, _CENTERS_STEP = 1e-3, 0.1, 5
 
 
@@ -138,7 +142,8 @@ def mixed_spectra(scales: Float64, blur: Float64) -> Float64:
     lies between them, and a camera's processing adds what no lens passed. The spectra (6) have
     deep minima that no picture has, and a window is far too sure of the scale whose minima
     happen to fit. So scales within about 6 % of each are averaged, evenly on both sides, with a
-    share of 5e-4 of sharp light, less where blur is wide and its own share is less.
+    share of 5e-4 of sharp light, less beyond 5/8 of the largest scale: with it, discs of 8 px
+    would measure 5.
 
     Parameters
     ----------
