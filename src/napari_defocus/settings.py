@@ -120,21 +120,21 @@ def psf_of(text: str, max_radius: float) -> PSFFamily:
     from napari_defocus.psf_text import psf_from_text
 
     family = psf_from_text(text)
-    largest = max_radius
     if isinstance(family, MeasuredPSF):
         largest = min(max_radius, family.max_scale)
-    elif _is_standard_deviation(family):
-        largest = max_radius / 2
+    else:
+        largest = max_radius / radius_per_scale(family)
     return psf_from_text(text, largest)
 
 
 def usual_threshold(family: PSFFamily) -> float:
     """Return the default threshold of a mask in a family's own scale, in px, see `psf_of`."""
-    return MaskSettings.threshold / (2 if _is_standard_deviation(family) else 1)
+    return MaskSettings.threshold / radius_per_scale(family)
 
 
-def _is_standard_deviation(family: PSFFamily) -> bool:
-    return family.scale_name.startswith("standard deviation")
+def radius_per_scale(family: PSFFamily) -> int:
+    """Return how many px of blur radius a px of a family's scale is: 2 for standard deviations."""
+    return 2 if family.scale_name.startswith("standard deviation") else 1
 
 
 @dataclass(frozen=True, kw_only=True)
