@@ -14,6 +14,7 @@ PUBLIC = {
     "Annulus",
     "BlurCandidates",
     "Cancelled",
+    "DepthSurface",
     "Disc",
     "FitReport",
     "Gaussian",
@@ -25,9 +26,13 @@ PUBLIC = {
     "PSFFamily",
     "Polygon",
     "ShotNoise",
+    "ThinLens",
+    "blur_from_depth",
     "calibrate_psf",
     "compare_psf",
     "confidence_map",
+    "depth_from_blur",
+    "depth_surface",
     "estimate_blur_map",
     "estimate_candidates",
     "estimate_noise_variance",
@@ -88,7 +93,15 @@ def test_examples_in_docstrings_are_true(module):
     assert result.failed == 0
 
 
-RESULTS = {"BlurCandidates", "Cancelled", "FitReport", "PSFComparison", "PSFEvidence", "PSFFamily"}
+RESULTS = {
+    "BlurCandidates",
+    "Cancelled",
+    "DepthSurface",
+    "FitReport",
+    "PSFComparison",
+    "PSFEvidence",
+    "PSFFamily",
+}
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC - RESULTS))

@@ -12,6 +12,13 @@ if TYPE_CHECKING:
     from napari_defocus.candidates import BlurCandidates, estimate_candidates
     from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
     from napari_defocus.confidence import confidence_map
+    from napari_defocus.depth import (
+        DepthSurface,
+        ThinLens,
+        blur_from_depth,
+        depth_from_blur,
+        depth_surface,
+    )
     from napari_defocus.labeling import estimate_blur_map, label_blur_map, labeling_energy
     from napari_defocus.layered import simulate_layered_defocus
     from napari_defocus.measured_psf import MeasuredPSF
@@ -37,6 +44,7 @@ _HOME_OF = {
     "Annulus": "psf",
     "BlurCandidates": "candidates",
     "Cancelled": "progress",
+    "DepthSurface": "depth",
     "Disc": "psf",
     "FitReport": "spectrum",
     "Gaussian": "psf",
@@ -48,9 +56,13 @@ _HOME_OF = {
     "PSFFamily": "psf",
     "Polygon": "psf",
     "ShotNoise": "noise",
+    "ThinLens": "depth",
+    "blur_from_depth": "depth",
     "calibrate_psf": "calibration",
     "compare_psf": "comparison",
     "confidence_map": "confidence",
+    "depth_from_blur": "depth",
+    "depth_surface": "depth",
     "estimate_blur_map": "labeling",
     "estimate_candidates": "candidates",
     "estimate_noise_variance": "noise",
@@ -68,6 +80,7 @@ __all__ = [
     "Annulus",
     "BlurCandidates",
     "Cancelled",
+    "DepthSurface",
     "Disc",
     "FitReport",
     "Gaussian",
@@ -79,9 +92,13 @@ __all__ = [
     "PSFFamily",
     "Polygon",
     "ShotNoise",
+    "ThinLens",
+    "blur_from_depth",
     "calibrate_psf",
     "compare_psf",
     "confidence_map",
+    "depth_from_blur",
+    "depth_surface",
     "estimate_blur_map",
     "estimate_candidates",
     "estimate_noise_variance",
