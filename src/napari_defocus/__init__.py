@@ -34,6 +34,8 @@ if TYPE_CHECKING:
         PSFFamily,
     )
     from napari_defocus.psf_text import psf_from_text
+    from napari_defocus.refocusing import change_focus
+    from napari_defocus.restoration import restore_all_in_focus
     from napari_defocus.segmentation import segment_in_focus
     from napari_defocus.simulation import simulate_defocus
     from napari_defocus.spectrum import FitReport, fit_report
@@ -59,6 +61,7 @@ _HOME_OF = {
     "ThinLens": "depth",
     "blur_from_depth": "depth",
     "calibrate_psf": "calibration",
+    "change_focus": "refocusing",
     "compare_psf": "comparison",
     "confidence_map": "confidence",
     "depth_from_blur": "depth",
@@ -71,6 +74,7 @@ _HOME_OF = {
     "label_blur_map": "labeling",
     "labeling_energy": "labeling",
     "psf_from_text": "psf_text",
+    "restore_all_in_focus": "restoration",
     "segment_in_focus": "segmentation",
     "simulate_defocus": "simulation",
     "simulate_layered_defocus": "layered",
@@ -95,6 +99,7 @@ __all__ = [
     "ThinLens",
     "blur_from_depth",
     "calibrate_psf",
+    "change_focus",
     "compare_psf",
     "confidence_map",
     "depth_from_blur",
@@ -107,6 +112,7 @@ __all__ = [
     "label_blur_map",
     "labeling_energy",
     "psf_from_text",
+    "restore_all_in_focus",
     "segment_in_focus",
     "simulate_defocus",
     "simulate_layered_defocus",

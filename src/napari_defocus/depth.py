@@ -9,19 +9,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.image import prepare_image
 from napari_defocus.psf import Disc, PSFFamily, as_family, check_number
-from napari_defocus.settings import radius_per_scale
+from napari_defocus.settings import Side, radius_per_scale
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-
-Side = Literal["far", "near"]
 
 _ROUNDING = float(np.finfo(np.float32).eps)
 

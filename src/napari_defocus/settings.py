@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 Mode = Literal["curve", "paper"]
 Spectra = Literal["exact", "fitted"]
 Linearize = Literal["srgb"]
+Side = Literal["far", "near"]
 
 COMPARED_PSFS = (
     "disc",
@@ -160,6 +161,56 @@ class MaskSettings:
         """Refuse impossible values before any work is done with them."""
         check_threshold(self.threshold, math.inf)
         check_weights(self.smoothness, self.color_sigma)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestorationSettings:
+    """What shapes an all-in-focus picture.
+
+    Attributes
+    ----------
+    noise_variance : float or None
+        Variance of the noise in the luminance, intensities in [0, 1]; None finds it from
+        the picture.
+    tv_weight : float or None
+        lambda of (19), intensities in [0, 1]; None derives it from the noise variance.
+    """
+
+    noise_variance: float | None = None
+    tv_weight: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_noise_variance(self.noise_variance)
+        check_tv_weight(self.tv_weight)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefocusSettings:
+    """What shapes a picture with another focus.
+
+    Attributes
+    ----------
+    focus : float
+        The blur, in px, of what shall be sharp.
+    aperture : float
+        How many times as wide the blur shall be.
+    side : {"far", "near"}
+        On which side of the focus everything blurred lies.
+    linearize : {"srgb"} or None
+        Decode into linear light, blur there, and encode again.
+    """
+
+    focus: float = 0.0
+    aperture: float = 1.0
+    side: Side = "far"
+    linearize: Linearize | None = "srgb"
+
+
+def check_tv_weight(tv_weight: float | None) -> None:
+    """Check lambda of (19); None derives it from the noise variance."""
+    if tv_weight is not None and not (math.isfinite(tv_weight) and tv_weight > 0):
+        raise ValueError(f"tv_weight is {tv_weight}; it takes a finite number above 0, or None")
 
 
 def check_noise_variance(noise_variance: float | None) -> None:
