@@ -29,6 +29,7 @@ PUBLIC = {
     "ThinLens",
     "blur_from_depth",
     "calibrate_psf",
+    "cautious_blur_map",
     "change_focus",
     "compare_psf",
     "confidence_map",

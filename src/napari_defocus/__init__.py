@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from napari_defocus.calibration import calibrate_psf
     from napari_defocus.candidates import BlurCandidates, estimate_candidates
     from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
-    from napari_defocus.confidence import confidence_map
+    from napari_defocus.confidence import cautious_blur_map, confidence_map
     from napari_defocus.depth import (
         DepthSurface,
         ThinLens,
@@ -61,6 +61,7 @@ _HOME_OF = {
     "ThinLens": "depth",
     "blur_from_depth": "depth",
     "calibrate_psf": "calibration",
+    "cautious_blur_map": "confidence",
     "change_focus": "refocusing",
     "compare_psf": "comparison",
     "confidence_map": "confidence",
@@ -99,6 +100,7 @@ __all__ = [
     "ThinLens",
     "blur_from_depth",
     "calibrate_psf",
+    "cautious_blur_map",
     "change_focus",
     "compare_psf",
     "confidence_map",

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 
 from napari_defocus.candidates import BlurCandidates
 from napari_defocus.evidence import averaged_curve, informed_share
+from napari_defocus.settings import RestorationSettings, check_risk
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -23,6 +24,9 @@ _WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.419, -0.280, 0.709
 """Fitted by benchmarks/confidence.py, which also says what they are worth."""
 
 _LEAST_ODDS, _LEAST_JUMP = 5e-4, 0.05
+
+_CAUTION_SIGMA = 8.0
+"""px, over which what is taken off a map is smoothed."""
 
 
 def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
@@ -66,11 +70,66 @@ def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     (100, 100)
     """
     radius = checked_map(blur_map, candidates.image_shape)
-    rows, columns = candidates.row_centers, candidates.column_centers
-    jump = maximum_filter(radius, _JUMP_SIDE) - minimum_filter(radius, _JUMP_SIDE)
-    at_windows = np.ix_(np.rint(rows).astype(int), np.rint(columns).astype(int))
-    probability = window_confidence(candidates, radius[at_windows], jump[at_windows])
-    return _between_windows(probability, candidates)
+    probability = window_confidence(candidates, *_at_windows(candidates, radius))
+    return np.clip(_between_windows(probability, candidates), 0, 1)
+
+
+def cautious_blur_map(
+    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = RestorationSettings.risk
+) -> Float32:
+    """Return how much of the blur of a map is safe to take away.
+
+    Too large a radius makes rings and halos when blur is taken away, too small a one leaves some
+    of it. So the smallest radius is taken that the true one is below with a probability of at
+    most `risk`: the map's own if what the curve log p(r) says of radii more than 0.5 px below
+    it, beside the map's confidence, is not more than that; else a quantile of the curve. Edges
+    without texture, which often fit two radii, are treated as the sharper of them. What is taken
+    off is smoothed over 8 px.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+        Of the mode "curve".
+    blur_map : (H, W) array_like
+        From `label_blur_map` with these candidates, in px.
+    risk : float, optional
+        From 0, nothing is safe, to 1, the map as it is.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        Scale in px, nowhere above the map: for `restore_all_in_focus`, no measurement.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `confidence_map`, and if `risk` is not in [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import *
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> candidates = estimate_candidates(picture)
+    >>> blur_map = label_blur_map(candidates, picture)
+    >>> bool((cautious_blur_map(candidates, blur_map) <= blur_map).all())
+    True
+    """
+    check_risk(risk)
+    radius = checked_map(blur_map, candidates.image_shape)
+    at_windows, jump = _at_windows(candidates, radius)
+    sure = window_confidence(candidates, at_windows, jump)
+    curve = averaged_curve(candidates)
+    likelihood = np.exp(_TEMPER * (curve - curve.max(axis=2, keepdims=True)))
+    away = candidates.scales - at_windows[..., None]
+    likelihood *= np.abs(away) > TOLERANCE + _ROUNDING
+    likelihood *= ((1 - sure) / np.maximum(likelihood.sum(axis=2), _LEAST_ODDS))[..., None]
+    below = np.cumsum(np.where(away < 0, likelihood, 0), axis=2)
+    reached = below >= risk
+    safe = np.where(reached.any(axis=2), candidates.scales[reached.argmax(axis=2)], at_windows)
+    excess = gaussian_filter(np.maximum(at_windows - safe, 0), _CAUTION_SIGMA / candidates.stride)
+    return np.maximum(radius - _between_windows(excess, candidates), 0)
 
 
 def window_confidence(candidates: BlurCandidates, radius: Float64, jump: Float64) -> Float64:
@@ -116,11 +175,21 @@ def checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:
     return radius.astype(np.float32)
 
 
+def _at_windows(candidates: BlurCandidates, radius: Float64) -> tuple[Float64, Float64]:
+    """Return a map's value, and its largest difference nearby, at the windows: (R, C) each."""
+    jump = maximum_filter(radius, _JUMP_SIDE) - minimum_filter(radius, _JUMP_SIDE)
+    rows, columns = (
+        np.rint(centers).astype(int)
+        for centers in (candidates.row_centers, candidates.column_centers)
+    )
+    windows = np.ix_(rows, columns)
+    return radius[windows], jump[windows]
+
+
 def _between_windows(values: Float64, candidates: BlurCandidates) -> Float32:
     """Interpolate from the windows' centres to all pixels."""
     height, width = candidates.image_shape
     rows = (np.arange(height) - candidates.row_centers[0]) / candidates.stride
     columns = (np.arange(width) - candidates.column_centers[0]) / candidates.stride
     places = np.meshgrid(rows, columns, indexing="ij")
-    interpolated = map_coordinates(values.astype(np.float32), places, order=1, mode="nearest")
-    return np.clip(interpolated, 0, 1)
+    return map_coordinates(values.astype(np.float32), places, order=1, mode="nearest")

@@ -174,15 +174,19 @@ class RestorationSettings:
         the picture.
     tv_weight : float or None
         lambda of (19), intensities in [0, 1]; None derives it from the noise variance.
+    risk : float
+        Of taking too much blur away, see `napari_defocus.cautious_blur_map`.
     """
 
     noise_variance: float | None = None
     tv_weight: float | None = None
+    risk: float = 0.1
 
     def __post_init__(self) -> None:
         """Refuse impossible values before any work is done with them."""
         check_noise_variance(self.noise_variance)
         check_tv_weight(self.tv_weight)
+        check_risk(self.risk)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,6 +246,12 @@ def check_threshold(threshold: float, max_scale: float) -> None:
             f"threshold is {threshold}; it takes a scale from 0 to below {max_scale:g} px, "
             f"the largest that is looked for"
         )
+
+
+def check_risk(risk: float) -> None:
+    """Check the risk of taking too much blur away."""
+    if not 0 <= risk <= 1:
+        raise ValueError(f"risk is {risk}; it takes a number from 0 to 1")
 
 
 def check_confidence(name: str, confidence: float) -> None:
