@@ -68,6 +68,7 @@ _CHECKED_AFTER = (2, 4)
 _GROSS = 8.0
 _VISIBLE = 2e-5
 _RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
+_LEAST_KNOWN = 0.05
 _LEAST_SHARE, _UNCHANGED = 0.5, 0.95
 
 _TILE = 64
@@ -278,9 +279,11 @@ class _Deconvolution:
         one PSF, cannot be explained by any picture that is not full of rings.
         """
         error = self._blur.apply(sharp) - self._color
+        square, known = np.mean(error**2, axis=2), np.ones(scales.shape, np.float32)
         if self._clipped is not None:
-            error[self._clipped] = 0
-        power = gaussian_filter(np.mean(error**2, axis=2), _RESIDUAL_SIGMA)
+            known[self._clipped.any(axis=2)] = 0
+        power = gaussian_filter(square * known, _RESIDUAL_SIGMA)
+        power /= np.maximum(gaussian_filter(known, _RESIDUAL_SIGMA), _LEAST_KNOWN)
         expected = _GROSS * (self._noise_variance + _VISIBLE)
         share = np.sqrt(expected / np.maximum(power, expected))
         share = minimum_filter(np.maximum(share, _LEAST_SHARE), 2 * _RESIDUAL_REACH + 1)
