@@ -454,7 +454,7 @@ def _encoded_maps(
 ) -> dict[Path, bytes]:
     import numpy as np
 
-    from napari_defocus.files import blur_map_png, blur_map_tiff
+    from napari_defocus.results import blur_map_png, blur_map_tiff
 
     trusted = np.where(confidence < min_confidence, np.float32(np.nan), blur_map)
     used = _used(candidates, settings) | {"min_confidence": min_confidence}
@@ -473,7 +473,7 @@ def _encoded_confidence(
     candidates: BlurCandidates,
     settings: MapSettings,
 ) -> dict[Path, bytes]:
-    from napari_defocus.files import confidence_png, confidence_tiff
+    from napari_defocus.results import confidence_png, confidence_tiff
 
     if output is None:
         return {}
@@ -493,7 +493,7 @@ def _encoded_masks(
     mask: NDArray[Any],
     intensity_range: tuple[float, float] | None,
 ) -> dict[Path, bytes]:
-    from napari_defocus.files import mask_png, overlay_png
+    from napari_defocus.results import mask_png, overlay_png
 
     contents = {output: mask_png(mask)} if output else {}
     if overlay:
