@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -74,6 +76,16 @@ def _tiff(values: ArrayLike, what: Mapping[str, str], settings: Mapping[str, Any
         metadata=None,
     )
     return buffer.getvalue()
+
+
+def settings_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a TIFF of `blur_map_tiff` says made it; nothing if it is another file."""
+    import tifffile
+
+    # Damaged files raise anything; reading them as pictures says what is wrong with them.
+    with suppress(Exception), tifffile.TiffFile(path) as tiff:
+        return dict(json.loads(tiff.pages.first.description)["settings"])
+    return {}
 
 
 def blur_map_png(
