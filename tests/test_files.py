@@ -425,7 +425,7 @@ def test_folder_source_and_twin_are_refused_even_when_forced(tmp_path):
     source.touch()
     for paths, reason in [
         ([tmp_path], "is a folder"),
-        ([source], "picture that is read"),
+        ([source], "a file that is read"),
         ([tmp_path / "a", tmp_path / "." / "a"], "given twice"),
     ]:
         with pytest.raises(UnwritableResult, match=reason):

@@ -8,13 +8,17 @@ import pytest
 import tifffile
 from PIL import Image
 
-from napari_defocus.files import write_results
+from napari_defocus.files import read_picture, write_results
 from napari_defocus.results import (
     blur_map_png,
     blur_map_tiff,
     confidence_tiff,
+    depth_png,
+    depth_tiff,
     mask_png,
     overlay_png,
+    picture_png,
+    settings_in_tiff,
 )
 
 
@@ -96,3 +100,68 @@ def test_overlay_keeps_what_is_in_focus_and_dims_the_rest(channels, dtype):
     assert np.abs(drawn[20, 20] - 127).max() <= 1
     assert drawn[5, 5].max() < 60
     assert np.ptp(drawn[10, 20]) > 100, "the outline has a colour of its own"
+
+
+# Distances and pictures.
+
+
+def colors_of(png):
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).reshape(-1, 3)
+
+
+def test_settings_are_found_again_in_the_file_that_says_them(tmp_path, ramp):
+    write_results({tmp_path / "map.tif": blur_map_tiff(ramp, {"psf": "polygon:6"})})
+    assert settings_in_tiff(tmp_path / "map.tif") == {"psf": "polygon:6"}
+    tifffile.imwrite(tmp_path / "other.tif", ramp, description="anything")
+    (tmp_path / "text.tif").write_text("no picture")
+    for name in ("other.tif", "text.tif", "none.tif", "."):
+        assert settings_in_tiff(tmp_path / name) == {}
+
+
+def test_depth_tiff_keeps_what_is_infinite_or_not_known(tmp_path):
+    depth = np.array([[1.5, np.inf], [np.nan, 2.5]], np.float32)
+    (tmp_path / "d.tif").write_bytes(depth_tiff(depth, {}))
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "d.tif"), depth)
+
+
+def test_depth_png_shows_what_is_infinite_or_not_known_in_colours_of_their_own():
+    depth = np.tile(np.linspace(1, 2, 400, dtype=np.float32), (300, 1))
+    plain = depth_png(depth)
+    depth[:150, :200] = np.inf
+    infinite = depth_png(depth)
+    depth[150:, :200] = np.nan
+    both = depth_png(depth, min_confidence=0.5)
+    light_blue, grey = [153, 204, 242], [89, 89, 89]
+    for png, colors in [(plain, []), (infinite, [light_blue]), (both, [light_blue, grey])]:
+        for color in (light_blue, grey):
+            drawn = (np.abs(colors_of(png).astype(int) - color).max(axis=1) <= 2).mean()
+            assert (drawn > 0.1) == (color in colors)
+    heights = [Image.open(io.BytesIO(png)).height for png in (plain, infinite, both)]
+    assert heights[0] < heights[1] < heights[2], "a line below for each"
+
+
+def test_few_far_pixels_do_not_change_the_colours_of_the_others():
+    depth = np.tile(np.linspace(1, 2, 400, dtype=np.float32), (300, 1))
+    far = depth.copy()
+    far[:20, :20] = 1e6
+    a, b = (np.asarray(Image.open(io.BytesIO(depth_png(d))).convert("RGB")) for d in (depth, far))
+    middle = np.s_[150:250, 100:400]
+    assert np.abs(a[middle].astype(int) - b[middle].astype(int)).max() < 12
+
+
+@pytest.mark.parametrize("value", [np.inf, np.nan, 3.0])
+def test_depth_png_of_a_single_value(value):
+    assert Image.open(io.BytesIO(depth_png(np.full((5, 6), value)))).width > 400
+
+
+@pytest.mark.parametrize(
+    ("dtype", "depth"), [(bool, 8), (np.uint8, 8), (np.uint16, 16), (np.float32, 16)]
+)
+@pytest.mark.parametrize("channels", [(), (3,), (4,)])
+def test_picture_png_has_the_levels_of_its_source(tmp_path, dtype, depth, channels):
+    picture = np.linspace(-0.1, 1.1, 12 * 8 * int(np.prod(channels))).reshape(12, 8, *channels)
+    path = tmp_path / "p.png"
+    path.write_bytes(picture_png(picture, np.zeros((12, 8, *channels), dtype)))
+    read = read_picture(path)
+    assert read.dtype.itemsize * 8 == depth
+    np.testing.assert_allclose(read / (2**depth - 1), np.clip(picture, 0, 1), atol=0.51 / 2**depth)

@@ -209,7 +209,7 @@ def check_results(
     force : bool
         Whether a file that exists may be overwritten.
     source : Path, optional
-        The picture that is read; it is never overwritten.
+        A file that is read; it is never overwritten.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def _refusal(target: Path, force: bool, source: Path | None) -> str | None:
         if not target.is_file():
             return "it is no regular file"
         if source is not None and source.exists() and target.samefile(source):
-            return "it is the picture that is read"
+            return "it is a file that is read"
         if not force:
             return "it exists already (force overwrites it)"
     return _creation_failure(target.parent)
