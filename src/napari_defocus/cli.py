@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import napari_defocus
-from napari_defocus import depth_commands, lens_commands
+from napari_defocus import depth_commands, lens_commands, restoration_commands
 from napari_defocus.commands import (
     AsJson,
     ColorSigma,
@@ -385,6 +385,8 @@ def _encoded_masks(
     return contents
 
 
+app.command("restore")(restoration_commands.restore)
+app.command("refocus")(restoration_commands.refocus)
 app.command("depth")(depth_commands.depth)
 app.command("calibrate")(lens_commands.calibrate)
 app.command("compare-psf")(lens_commands.compare)
