@@ -1,6 +1,5 @@
 """The terminal command: what it prints, what it writes, and how it fails."""
 
-import errno
 import json
 import os
 import subprocess
@@ -11,12 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tifffile
+from command_line import assert_fails_in_one_line, full_disk, names_in, run
 from PIL import Image
-from typer.testing import CliRunner
 
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
-from napari_defocus.cli import app
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 
 SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
@@ -61,23 +59,6 @@ def instant(monkeypatch):
     for function in (estimate_candidates, label_blur_map, segment_in_focus, confidence_map):
         monkeypatch.setattr(napari_defocus, function.__name__, function)
     return calls
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def names_in(folder):
-    return sorted(path.name for path in folder.iterdir())
-
-
-def assert_fails_in_one_line(result, *, saying, code=2):
-    assert result.exit_code == code, result.output
-    assert result.stdout == ""
-    lines = result.stderr.splitlines()
-    assert len(lines) == 1, result.stderr
-    assert lines[0].startswith("napari-defocus: ")
-    assert saying in lines[0]
 
 
 # --- what the commands do -------------------------------------------------------------------
@@ -481,7 +462,7 @@ def test_existing_result_stops_before_any_work(picture, instant, command):
 def test_picture_is_never_overwritten(picture, instant):
     before = picture.read_bytes()
     result = run("segment", picture, "-o", picture, "--force")
-    assert_fails_in_one_line(result, saying="is the picture that is read")
+    assert_fails_in_one_line(result, saying="is a file that is read")
     assert picture.read_bytes() == before
 
 
@@ -510,7 +491,7 @@ def test_seeds_are_never_overwritten(picture, instant):
     before = picture.with_name("mask.png").read_bytes()
     mask = picture.with_name("mask.png")
     result = run("segment", picture, "--seeds", mask, "-o", mask, "--force")
-    assert_fails_in_one_line(result, saying="is the picture that is read")
+    assert_fails_in_one_line(result, saying="is a file that is read")
     assert mask.read_bytes() == before
 
 
@@ -581,6 +562,13 @@ def test_intensity_range_that_is_none(picture):
         ["map", "p.png", "--linearize", "other"],
         ["calibrate", "p.png"],
         ["compare-psf"],
+        ["restore"],
+        ["refocus"],
+        ["depth"],
+        ["restore", "p.png", "--linearize", "linear"],
+        ["refocus", "p.png", "--encoding", "other"],
+        ["refocus", "p.png", "--side", "left"],
+        ["depth", "p.png", "--side", "left"],
     ],
 )
 def test_wrong_usage_ends_with_code_2_and_a_hint(arguments):
@@ -608,10 +596,6 @@ def test_output_that_cannot_be_is_refused_before_any_work(
     assert_fails_in_one_line(result, saying=saying)
     assert not instant, "nothing was computed"
     assert names_in(picture.parent) == ["folder.tif", "seed.png"]
-
-
-def full_disk(_descriptor):
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_full_disk(picture, instant, monkeypatch):

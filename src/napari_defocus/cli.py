@@ -7,14 +7,13 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import napari_defocus
-from napari_defocus import lens_commands
+from napari_defocus import depth_commands, lens_commands, restoration_commands
 from napari_defocus.commands import (
     AsJson,
     ColorSigma,
@@ -41,9 +40,20 @@ from napari_defocus.commands import (
     last_lines,
     run,
 )
+from napari_defocus.measurement import (
+    Measurement,
+    beside,
+    label_map,
+    lines_of,
+    map_facts,
+    measure_candidates,
+    measure_map,
+    picture_facts,
+    shares,
+    used,
+)
 from napari_defocus.progress import Progress, within
 from napari_defocus.settings import (
-    CONFIDENT,
     MapSettings,
     MaskSettings,
     check_confidence,
@@ -55,10 +65,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_defocus.candidates import BlurCandidates
-    from napari_defocus.noise import ShotNoise
-
-CANDIDATES_SHARE = 0.7
-"""Roughly how much of the time goes into the candidates; for the progress bar only."""
 
 app = typer.Typer(
     name="napari-defocus",
@@ -120,7 +126,7 @@ def map_picture(
     quiet: Quiet = False,
 ) -> None:
     """Measure how wide the blur is, in px, at every pixel of IMAGE."""
-    maps = output or [_beside(image, "-blur.tif"), _beside(image, "-blur.png")]
+    maps = output or [beside(image, "-blur.tif"), beside(image, "-blur.png")]
     outputs = [*maps, *([confidence] if confidence else [])]
 
     def measure(progress: Progress) -> dict[str, Any]:
@@ -141,15 +147,12 @@ def map_picture(
         check_endings(outputs, ".tif", ".tiff", ".png")
         picture = files.read_picture(image)
         files.check_results(outputs, force=force, source=image)
-        first, second = _shares(progress)
-        candidates = _candidates(picture, settings, intensity_range, first)
-        blur_map = _blur_map(candidates, picture, settings, intensity_range, second)
-        sure = napari_defocus.confidence_map(candidates, blur_map)
-        facts = _map_facts(blur_map, sure, min_confidence)
-        contents = _encoded_maps(maps, blur_map, sure, min_confidence, candidates, settings)
-        contents |= _encoded_confidence(confidence, sure, candidates, settings)
+        found = measure_map(picture, settings, intensity_range, progress)
+        facts = picture_facts(image, outputs, found, settings) | map_facts(found, min_confidence)
+        contents = _encoded_maps(maps, found, min_confidence, settings)
+        contents |= _encoded_confidence(confidence, found, settings)
         files.write_results(contents, force=force)
-        return _facts(image, outputs, candidates, settings) | facts
+        return facts
 
     run(measure, _lines, as_json, quiet)
 
@@ -176,7 +179,7 @@ def segment_picture(
 ) -> None:
     """Find what is in focus in IMAGE."""
     if output is None and overlay is None:
-        output, overlay = _beside(image, "-mask.png"), _beside(image, "-overlay.png")
+        output, overlay = beside(image, "-mask.png"), beside(image, "-overlay.png")
     outputs = [path for path in (output, overlay) if path is not None]
 
     def measure(progress: Progress) -> dict[str, Any]:
@@ -202,12 +205,12 @@ def segment_picture(
         known = _seeds(seeds, picture)
         for source in (image, seeds):
             files.check_results(outputs, force=force, source=source)
-        first, second = _shares(progress)
-        candidates = _candidates(picture, settings, intensity_range, first)
+        first, second = shares(progress)
+        candidates = measure_candidates(picture, settings, intensity_range, first)
         mask = _mask(candidates, picture, mask_settings, intensity_range, second, known)
         contents = _encoded_masks(output, overlay, picture, mask, intensity_range)
         files.write_results(contents, force=force)
-        facts = _facts(image, outputs, candidates, settings) | _mask_facts(mask)
+        facts = picture_facts(image, outputs, candidates, settings) | _mask_facts(mask)
         return facts | _seeds_facts(seeds, known)
 
     run(measure, _lines, as_json, quiet)
@@ -242,17 +245,16 @@ def demonstrate(
         check_threshold(mask_settings.threshold, family.max_scale)
         files.check_results(outputs, force=True)
         picture = files.read_picture(_sample())
-        first, second = _shares(progress)
-        candidates = _candidates(picture, settings, None, first)
-        blur_map = _blur_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
-        sure = napari_defocus.confidence_map(candidates, blur_map)
+        first, second = shares(progress)
+        candidates = measure_candidates(picture, settings, None, first)
+        found = label_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
         mask = _mask(candidates, picture, mask_settings, None, within(second, 0.5, 1.0))
-        contents = _encoded_maps(maps, blur_map, sure, 0.0, candidates, settings)
-        contents |= _encoded_confidence(confidence_path, sure, candidates, settings)
+        contents = _encoded_maps(maps, found, 0.0, settings)
+        contents |= _encoded_confidence(confidence_path, found, settings)
         contents |= _encoded_masks(mask_path, overlay_path, picture, mask, None)
         files.write_results(contents, force=True)
-        facts = _facts(Path("dandelion.jpg"), outputs, candidates, settings)
-        return facts | _map_facts(blur_map, sure, 0.0) | _mask_facts(mask)
+        facts = picture_facts(Path("dandelion.jpg"), outputs, found, settings)
+        return facts | map_facts(found) | _mask_facts(mask)
 
     def measure_into_folder(progress: Progress) -> dict[str, Any]:
         with _folder_for_results(folder):
@@ -262,25 +264,7 @@ def demonstrate(
 
 
 def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
-    yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
-    yield f"lens         {facts['psf']}, scale: {facts['scale']}"
-    variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
-    yield f"noise        variance {variance:.2g} (sigma {sigma:.2f} of 255 grey levels)"
-    if facts["shot_noise"]:
-        read, gain = facts["shot_noise"]["read_variance"], facts["shot_noise"]["gain"]
-        yield f"             variance {read:.2g} + {gain:.2g} x intensity"
-    if "blur_median_px" in facts:
-        low, high = facts["blur_p5_px"], facts["blur_p95_px"]
-        yield (
-            f"blur         median {facts['blur_median_px']:.1f} px, "
-            f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
-        )
-        yield (
-            f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
-            f"{facts['confident_percent']:.1f} % of the picture"
-        )
-    if facts.get("left_out_percent"):
-        yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
+    yield from lines_of(facts)
     if "in_focus_percent" in facts:
         yield f"in focus     {facts['in_focus_percent']:.1f} % of the picture"
     if facts.get("seeds"):
@@ -290,39 +274,6 @@ def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
             f"from {known['file']}"
         )
     yield from last_lines(facts)
-
-
-def _facts(
-    image: Path, outputs: list[Path], candidates: BlurCandidates, settings: MapSettings
-) -> dict[str, Any]:
-    height, width = candidates.image_shape
-    return {
-        "image": str(image),
-        "width": width,
-        "height": height,
-        "psf": settings.psf,
-        "scale": candidates.psf.scale_name,
-        "noise_variance": candidates.noise_variance,
-        "noise_sigma_grey_levels": 255.0 * candidates.noise_variance**0.5,
-        "shot_noise": asdict(candidates.shot_noise) if candidates.shot_noise else None,
-        "files": [str(path) for path in outputs],
-    }
-
-
-def _map_facts(
-    blur_map: NDArray[Any], confidence: NDArray[Any], min_confidence: float
-) -> dict[str, Any]:
-    import numpy as np
-
-    low, median, high = np.percentile(blur_map, [5, 50, 95])
-    return {
-        "blur_median_px": float(median),
-        "blur_p5_px": float(low),
-        "blur_p95_px": float(high),
-        "confidence_median": float(np.median(confidence)),
-        "confident_percent": 100.0 * float((confidence >= CONFIDENT).mean()),
-        "left_out_percent": 100.0 * float((confidence < min_confidence).mean()),
-    }
 
 
 def _mask_facts(mask: NDArray[Any]) -> dict[str, Any]:
@@ -348,55 +299,6 @@ def _seeds_facts(path: Path | None, seeds: NDArray[Any] | None) -> dict[str, Any
     return {"seeds": {"file": str(path), **known}}
 
 
-def _shares(progress: Progress) -> tuple[Progress, Progress]:
-    return within(progress, 0.0, CANDIDATES_SHARE), within(progress, CANDIDATES_SHARE, 1.0)
-
-
-def _candidates(
-    picture: NDArray[Any],
-    settings: MapSettings,
-    intensity_range: tuple[float, float] | None,
-    progress: Progress,
-) -> BlurCandidates:
-    psf = settings.family()
-    noise: float | ShotNoise | None = settings.noise_variance
-    if settings.shot_noise:
-        progress("Measuring the noise", 0.0)
-        noise = napari_defocus.estimate_shot_noise(
-            picture,
-            linearize=settings.linearize,
-            intensity_range=intensity_range,
-        )
-    return napari_defocus.estimate_candidates(
-        picture,
-        psf=psf,
-        noise_variance=noise,
-        window=settings.window,
-        stride=settings.stride,
-        mode=settings.mode,
-        linearize=settings.linearize,
-        intensity_range=intensity_range,
-        progress=progress,
-    )
-
-
-def _blur_map(
-    candidates: BlurCandidates,
-    picture: NDArray[Any],
-    settings: MapSettings,
-    intensity_range: tuple[float, float] | None,
-    progress: Progress,
-) -> NDArray[Any]:
-    return napari_defocus.label_blur_map(
-        candidates,
-        picture,
-        smoothness=settings.smoothness,
-        color_sigma=settings.color_sigma,
-        intensity_range=intensity_range,
-        progress=progress,
-    )
-
-
 def _mask(
     candidates: BlurCandidates,
     picture: NDArray[Any],
@@ -415,10 +317,6 @@ def _mask(
         intensity_range=intensity_range,
         progress=progress,
     )
-
-
-def _beside(image: Path, ending: str) -> Path:
-    return image.parent / f"{image.stem}{ending}"
 
 
 def _sample() -> Path:
@@ -445,45 +343,31 @@ def _folder_for_results(folder: Path) -> Iterator[None]:
 
 
 def _encoded_maps(
-    outputs: list[Path],
-    blur_map: NDArray[Any],
-    confidence: NDArray[Any],
-    min_confidence: float,
-    candidates: BlurCandidates,
-    settings: MapSettings,
+    outputs: list[Path], found: Measurement, min_confidence: float, settings: MapSettings
 ) -> dict[Path, bytes]:
-    import numpy as np
+    from napari_defocus.results import blur_map_png, blur_map_tiff
 
-    from napari_defocus.files import blur_map_png, blur_map_tiff
-
-    trusted = np.where(confidence < min_confidence, np.float32(np.nan), blur_map)
-    used = _used(candidates, settings) | {"min_confidence": min_confidence}
-    psf = candidates.psf
+    trusted = found.trusted(min_confidence)
+    made_with = used(found, settings) | {"min_confidence": min_confidence}
+    psf = found.psf
     return {
         path: blur_map_png(trusted, psf.max_scale, psf.scale_name, min_confidence)
         if path.suffix.lower() == ".png"
-        else blur_map_tiff(trusted, used, psf.scale_name)
+        else blur_map_tiff(trusted, made_with, psf.scale_name)
         for path in outputs
     }
 
 
 def _encoded_confidence(
-    output: Path | None,
-    confidence: NDArray[Any],
-    candidates: BlurCandidates,
-    settings: MapSettings,
+    output: Path | None, found: Measurement, settings: MapSettings
 ) -> dict[Path, bytes]:
-    from napari_defocus.files import confidence_png, confidence_tiff
+    from napari_defocus.results import confidence_png, confidence_tiff
 
-    if output is None:
+    if output is None or found.confidence is None:
         return {}
     if output.suffix.lower() == ".png":
-        return {output: confidence_png(confidence)}
-    return {output: confidence_tiff(confidence, _used(candidates, settings))}
-
-
-def _used(candidates: BlurCandidates, settings: MapSettings) -> dict[str, Any]:
-    return asdict(settings) | {"noise_variance": candidates.noise_variance}
+        return {output: confidence_png(found.confidence)}
+    return {output: confidence_tiff(found.confidence, used(found, settings))}
 
 
 def _encoded_masks(
@@ -493,7 +377,7 @@ def _encoded_masks(
     mask: NDArray[Any],
     intensity_range: tuple[float, float] | None,
 ) -> dict[Path, bytes]:
-    from napari_defocus.files import mask_png, overlay_png
+    from napari_defocus.results import mask_png, overlay_png
 
     contents = {output: mask_png(mask)} if output else {}
     if overlay:
@@ -501,5 +385,8 @@ def _encoded_masks(
     return contents
 
 
+app.command("restore")(restoration_commands.restore)
+app.command("refocus")(restoration_commands.refocus)
+app.command("depth")(depth_commands.depth)
 app.command("calibrate")(lens_commands.calibrate)
 app.command("compare-psf")(lens_commands.compare)

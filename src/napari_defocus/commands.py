@@ -6,13 +6,23 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from napari_defocus.progress import Progress
-from napari_defocus.settings import Linearize, MaskSettings, Mode
+from napari_defocus.settings import (
+    Linearize,
+    MapSettings,
+    MaskSettings,
+    Mode,
+    RefocusSettings,
+    Side,
+)
 from napari_defocus.terminal import errors_in_one_line, print_result, progress_in_terminal
+
+Encoding = Literal["srgb", "linear"]
+"""How files hold light; "linear" is None to the functions."""
 
 ImagePath = Annotated[
     Path, typer.Argument(metavar="IMAGE", help="PNG, JPEG, TIFF, WebP or BMP.", show_default=False)
@@ -33,14 +43,17 @@ ShotNoiseOption = Annotated[
         "from the picture.",
     ),
 ]
-PSFText = Annotated[
-    str,
+_PSF_HELP = (
+    "What a lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION, "
+    "gaussian, generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote."
+)
+PSFText = Annotated[str, typer.Option("--psf", metavar="TEXT", help=_PSF_HELP)]
+PSFTextOrMaps = Annotated[
+    str | None,
     typer.Option(
         "--psf",
         metavar="TEXT",
-        help="What a lens makes of a point: disc, polygon:BLADES[:ROTATION], "
-        "annulus:OBSTRUCTION, gaussian, generalized-gaussian:EXPONENT, or the .npz file that "
-        "calibrate wrote.",
+        help=f"{_PSF_HELP} [default: {MapSettings.psf}, or that of the map that is given]",
     ),
 ]
 LinearizeOption = Annotated[
@@ -143,6 +156,127 @@ OverlayOutput = Annotated[
         metavar="PATH",
         help="Where to write the picture with the rest dimmed (.png). "
         "[default: NAME-overlay.png beside IMAGE, and the mask too]",
+    ),
+]
+KnownMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="PATH",
+        help="The blur map of IMAGE as map wrote it (.tif), or as you corrected it: float32, in "
+        "px, NaN where it is not known. It is measured if left out; if not, what only shapes a "
+        "measurement does nothing.",
+    ),
+]
+KnownConfidence = Annotated[
+    Path | None,
+    typer.Option(
+        "--map-confidence",
+        metavar="PATH",
+        help="What map --confidence wrote (.tif) together with the --map.",
+    ),
+]
+TVWeight = Annotated[
+    float | None,
+    typer.Option(
+        metavar="NUMBER",
+        help="How smooth the picture in focus is: large for less noise, small for more detail. "
+        "Derived from the noise if left out.",
+    ),
+]
+SideOption = Annotated[
+    Side,
+    typer.Option(
+        help="Where everything lies that is blurred: beyond the plane in focus (far) or before it "
+        "(near). One picture cannot tell."
+    ),
+]
+FocalLength = Annotated[
+    float | None,
+    typer.Option(metavar="MM", help="Focal length, in mm; not its 35 mm equivalent."),
+]
+FNumber = Annotated[float | None, typer.Option(metavar="NUMBER", help="The f-number, such as 2.8.")]
+FocusDistance = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M",
+        help="Distance, in m, that the lens was focused at when the picture was taken; inf for "
+        "infinitely far. Few cameras note it.",
+    ),
+]
+PixelPitch = Annotated[
+    float | None,
+    typer.Option(
+        metavar="UM",
+        help="How far the pixels of IMAGE are apart on the sensor, in um: twice the sensor's "
+        "pitch if IMAGE was scaled down to a half.",
+    ),
+]
+DepthOutputs = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help="Where to write: values in m (.tif) or a drawing with a colour bar (.png). "
+        "Can be given twice. [default: NAME-depth.tif and NAME-depth.png beside IMAGE]",
+    ),
+]
+_PICTURES_HELP = (
+    "Where to write: a picture of 8 bits, or 16 if IMAGE has more (.png), or float32 from 0 to 1 "
+    "(.tif). Can be given twice."
+)
+RestoredOutputs = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help=f"{_PICTURES_HELP} [default: NAME-in-focus.png beside IMAGE]",
+    ),
+]
+RefocusedOutputs = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help=f"{_PICTURES_HELP} [default: NAME-refocused.png beside IMAGE]",
+    ),
+]
+FocusOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="PX",
+        help="What shall be sharp: that which is blurred by so many px, in the scale of --psf and "
+        "the map; negative on the other side of the focus than --side. "
+        f"[default: {RefocusSettings.focus:g}, the focus stays]",
+    ),
+]
+SharpAt = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M",
+        help="What shall be sharp: that which is so far away, in m; instead of --focus. It takes "
+        "the lens: --focal-length, --f-number, --focus-distance and --pixel-pitch, as far as "
+        "IMAGE does not note them.",
+    ),
+]
+Aperture = Annotated[
+    float,
+    typer.Option(
+        metavar="FACTOR",
+        help="How many times as wide the aperture shall be, and so the blur: 2 for two stops more, "
+        "0 for everything in focus.",
+    ),
+]
+EncodingOption = Annotated[
+    Encoding,
+    typer.Option(
+        help="How IMAGE holds light: srgb if a camera made it for screens, linear if its numbers "
+        "are proportional to light, as those of microscopes and raw data. Lenses blur light: "
+        "IMAGE is restored and blurred again in it. --noise-variance is taken for that, too, if "
+        "--linearize is the same or --map is given; else the noise is found again."
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite results that exist.")]

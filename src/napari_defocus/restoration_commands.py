@@ -1,0 +1,365 @@
+"""The terminal commands that make pictures: all in focus, and with another focus."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import napari_defocus
+from napari_defocus.commands import (
+    Aperture,
+    AsJson,
+    ColorSigma,
+    Encoding,
+    EncodingOption,
+    FNumber,
+    FocalLength,
+    FocusDistance,
+    FocusOption,
+    Force,
+    ImagePath,
+    IntensityRange,
+    KnownConfidence,
+    KnownMap,
+    LinearizeOption,
+    MapSmoothness,
+    MaxRadius,
+    ModeOption,
+    NoiseVariance,
+    PixelPitch,
+    PSFTextOrMaps,
+    Quiet,
+    RefocusedOutputs,
+    RestoredOutputs,
+    SharpAt,
+    ShotNoiseOption,
+    SideOption,
+    TVWeight,
+    check_endings,
+    last_lines,
+    run,
+)
+from napari_defocus.depth_commands import (
+    GivenLens,
+    check_side,
+    lens_facts,
+    lens_line,
+    side_line,
+    thin_lens,
+)
+from napari_defocus.measurement import (
+    Measurement,
+    beside,
+    file_facts,
+    find_blur,
+    lines_of,
+    map_facts,
+    picture_facts,
+    psf_for,
+    used,
+)
+from napari_defocus.progress import Progress, within
+from napari_defocus.settings import (
+    Linearize,
+    MapSettings,
+    RefocusSettings,
+    RestorationSettings,
+    Side,
+    check_tv_weight,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_defocus.psf import PSFFamily
+
+MEASURING_SHARE = 0.2
+"""Roughly how much of the time goes into the map; for the progress bar only."""
+
+_USUAL_ENCODING: Encoding = RefocusSettings.linearize or "linear"
+
+
+def restore(
+    image: ImagePath,
+    tv_weight: TVWeight = RestorationSettings.tv_weight,
+    psf: PSFTextOrMaps = None,
+    noise_variance: NoiseVariance = MapSettings.noise_variance,
+    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
+    max_radius: MaxRadius = MapSettings.max_radius,
+    smoothness: MapSmoothness = MapSettings.smoothness,
+    color_sigma: ColorSigma = MapSettings.color_sigma,
+    mode: ModeOption = MapSettings.mode,
+    linearize: LinearizeOption = MapSettings.linearize,
+    intensity_range: IntensityRange = None,
+    known_map: KnownMap = None,
+    map_confidence: KnownConfidence = None,
+    output: RestoredOutputs = None,
+    force: Force = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Bring all of IMAGE into focus, as far as its blur and its noise allow."""
+    outputs = output or [beside(image, "-in-focus.png")]
+
+    def work(progress: Progress) -> dict[str, Any]:
+        from napari_defocus import files
+
+        settings = MapSettings(
+            psf=psf_for(psf, known_map),
+            noise_variance=noise_variance,
+            shot_noise=shot_noise,
+            max_radius=max_radius,
+            smoothness=smoothness,
+            color_sigma=color_sigma,
+            mode=mode,
+            linearize=linearize,
+        )
+        settings.family()
+        check_tv_weight(tv_weight)
+        check_endings(outputs, ".png", ".tif", ".tiff")
+        picture = files.read_picture(image)
+        for source in (image, known_map, map_confidence):
+            files.check_results(outputs, force=force, source=source)
+        first, second = _shares(progress)
+        found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
+        noise = _noise_variance(found, picture, settings, linearize, intensity_range)
+        found = replace(found, noise_variance=noise)
+        facts = picture_facts(image, outputs, found, settings)
+        facts |= file_facts(found) | map_facts(found) | {"tv_weight": tv_weight}
+        found = _without_gaps(found)
+        sharp = napari_defocus.restore_all_in_focus(
+            picture,
+            found.blur_map,
+            psf=found.psf,
+            noise_variance=noise,
+            confidence=found.confidence,
+            tv_weight=tv_weight,
+            linearize=linearize,
+            intensity_range=intensity_range,
+            progress=second,
+        )
+        made_with = used(found, settings) | {"tv_weight": tv_weight}
+        contents = _encoded(outputs, sharp, picture, "all-in-focus picture", made_with)
+        files.write_results(contents, force=force)
+        return facts
+
+    run(work, _restored_lines, as_json, quiet)
+
+
+def refocus(
+    image: ImagePath,
+    focus: FocusOption = None,
+    sharp_at: SharpAt = None,
+    aperture: Aperture = RefocusSettings.aperture,
+    side: SideOption = RefocusSettings.side,
+    encoding: EncodingOption = _USUAL_ENCODING,
+    focal_length: FocalLength = None,
+    f_number: FNumber = None,
+    focus_distance: FocusDistance = None,
+    pixel_pitch: PixelPitch = None,
+    tv_weight: TVWeight = RestorationSettings.tv_weight,
+    psf: PSFTextOrMaps = None,
+    noise_variance: NoiseVariance = MapSettings.noise_variance,
+    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
+    max_radius: MaxRadius = MapSettings.max_radius,
+    smoothness: MapSmoothness = MapSettings.smoothness,
+    color_sigma: ColorSigma = MapSettings.color_sigma,
+    mode: ModeOption = MapSettings.mode,
+    linearize: LinearizeOption = MapSettings.linearize,
+    intensity_range: IntensityRange = None,
+    known_map: KnownMap = None,
+    map_confidence: KnownConfidence = None,
+    output: RefocusedOutputs = None,
+    force: Force = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show IMAGE as if it had been focused elsewhere, or with another aperture.
+
+    --focus or --sharp-at says what shall be sharp, --aperture how blurred the rest.
+    """
+    outputs = output or [beside(image, "-refocused.png")]
+    given = GivenLens(
+        focal_length_mm=focal_length,
+        f_number=f_number,
+        focus_distance_m=focus_distance,
+        pixel_pitch_um=pixel_pitch,
+    )
+
+    def work(progress: Progress) -> dict[str, Any]:
+        from napari_defocus import files
+
+        settings = MapSettings(
+            psf=psf_for(psf, known_map),
+            noise_variance=noise_variance,
+            shot_noise=shot_noise,
+            max_radius=max_radius,
+            smoothness=smoothness,
+            color_sigma=color_sigma,
+            mode=mode,
+            linearize=linearize,
+        )
+        family = settings.family()
+        check_tv_weight(tv_weight)
+        _check_change(focus, sharp_at, aperture, given)
+        check_endings(outputs, ".png", ".tif", ".tiff")
+        picture = files.read_picture(image)
+        change = _focus_facts(image, focus, sharp_at, side, given, family)
+        change |= {"aperture": aperture, "side": side, "encoding": encoding, "tv_weight": tv_weight}
+        for source in (image, known_map, map_confidence):
+            files.check_results(outputs, force=force, source=source)
+        first, second = _shares(progress)
+        found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
+        light: Linearize | None = "srgb" if encoding == "srgb" else None
+        noise = _noise_variance(found, picture, settings, light, intensity_range)
+        change |= {"restoring_noise_variance": noise}
+        facts = picture_facts(image, outputs, found, settings)
+        facts |= file_facts(found) | map_facts(found) | change
+        found = _without_gaps(found)
+        changed = napari_defocus.change_focus(
+            picture,
+            found.blur_map,
+            focus=change["focus_px"],
+            aperture=aperture,
+            side=side,
+            psf=found.psf,
+            noise_variance=noise,
+            confidence=found.confidence,
+            tv_weight=tv_weight,
+            linearize=light,
+            intensity_range=intensity_range,
+            progress=second,
+        )
+        made_with = used(found, settings) | change
+        contents = _encoded(outputs, changed, picture, "refocused picture", made_with)
+        files.write_results(contents, force=force)
+        return facts
+
+    run(work, _refocused_lines, as_json, quiet)
+
+
+def _shares(progress: Progress) -> tuple[Progress, Progress]:
+    return within(progress, 0.0, MEASURING_SHARE), within(progress, MEASURING_SHARE, 1.0)
+
+
+def _check_change(
+    focus: float | None, sharp_at: float | None, aperture: float, given: GivenLens
+) -> None:
+    """Check what shall change, as far as that goes without the lens."""
+    if focus is not None and sharp_at is not None:
+        raise ValueError(f"focus is {focus} and sharp_at is {sharp_at}; one of them is enough")
+    if sharp_at is None:
+        for name, value in given.items():
+            if value is not None:
+                raise ValueError(f"{name} is {value}, but only sharp_at takes a lens")
+        if focus in (None, RefocusSettings.focus) and aperture == RefocusSettings.aperture:
+            raise ValueError("nothing would change; give focus, sharp_at or aperture")
+    elif not sharp_at > 0:
+        raise ValueError(f"sharp_at is {sharp_at}; it takes a distance above 0 m")
+    if focus is not None and not math.isfinite(focus):
+        raise ValueError(f"focus is {focus}; it takes a finite number of px")
+    if not 0 <= aperture < math.inf:
+        raise ValueError(f"aperture is {aperture}; it takes a finite number from 0 up")
+
+
+def _focus_facts(
+    image: Path,
+    focus: float | None,
+    sharp_at: float | None,
+    side: Side,
+    given: GivenLens,
+    psf: PSFFamily,
+) -> dict[str, Any]:
+    """Return the blur of what shall be sharp, and how it was found."""
+    if sharp_at is None:
+        return {"focus_px": RefocusSettings.focus if focus is None else focus}
+    lens = thin_lens(image, given)
+    check_side(side, lens)
+    blur = float(napari_defocus.blur_from_depth(sharp_at, lens, psf=psf))
+    if not math.isfinite(blur):
+        raise ValueError(f"sharp_at is {sharp_at}; nothing so near can be made sharp")
+    beyond = sharp_at > lens.focus_distance_m
+    told = {"sharp_at_m": sharp_at if math.isfinite(sharp_at) else "inf"}
+    return (
+        {"focus_px": blur if beyond == (side == "far") else -blur} | told | lens_facts(lens, given)
+    )
+
+
+def _noise_variance(
+    found: Measurement,
+    picture: NDArray[Any],
+    settings: MapSettings,
+    linearize: Linearize | None,
+    intensity_range: tuple[float, float] | None,
+) -> float:
+    """Return the noise variance in the light in which the picture is restored."""
+    same_light = linearize == settings.linearize or found.map_file is not None
+    if found.noise_variance is not None and same_light:
+        return found.noise_variance
+    return napari_defocus.estimate_noise_variance(
+        picture, linearize=linearize, intensity_range=intensity_range
+    )
+
+
+def _without_gaps(found: Measurement) -> Measurement:
+    """Return the scale of the nearest known pixel, with no confidence, where it is not known."""
+    import numpy as np
+    from scipy.ndimage import distance_transform_edt
+
+    unknown = np.isnan(found.blur_map)
+    if not unknown.any():
+        return found
+    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    sure = np.float32(1) if found.confidence is None else found.confidence
+    return replace(
+        found,
+        blur_map=found.blur_map[tuple(nearest)],
+        confidence=np.where(unknown, np.float32(0), sure),
+    )
+
+
+def _encoded(
+    outputs: list[Path],
+    made: NDArray[Any],
+    picture: NDArray[Any],
+    quantity: str,
+    made_with: Mapping[str, Any],
+) -> dict[Path, bytes]:
+    from napari_defocus.results import picture_png, picture_tiff, with_opacity
+
+    shown = with_opacity(made, picture)
+    return {
+        path: picture_png(shown, picture)
+        if path.suffix.lower() == ".png"
+        else picture_tiff(shown, quantity, made_with)
+        for path in outputs
+    }
+
+
+def _weight_line(facts: Mapping[str, Any]) -> str:
+    weight = facts["tv_weight"]
+    return f"tv weight    {'from the noise' if weight is None else f'{weight:g}'}"
+
+
+def _restored_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    yield from lines_of(facts)
+    yield _weight_line(facts)
+    yield from last_lines(facts)
+
+
+def _refocused_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    yield from lines_of(facts)
+    yield _weight_line(facts)
+    if "thin_lens" in facts:
+        yield lens_line(facts)
+    yield side_line(facts)
+    where = f", {facts['sharp_at_m']} m away" if "sharp_at_m" in facts else ""
+    focus = facts["focus_px"]
+    other = " on the other side" if focus < 0 else ""
+    yield f"sharp now    what is blurred by {abs(focus):.1f} px{other}{where}"
+    yield f"aperture     {facts['aperture']:g} times as wide"
+    yield f"encoding     {facts['encoding']}"
+    yield from last_lines(facts)
