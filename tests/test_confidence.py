@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from napari_defocus import confidence_map, estimate_candidates, label_blur_map
+from napari_defocus import (
+    cautious_blur_map,
+    confidence_map,
+    estimate_candidates,
+    label_blur_map,
+)
 
 
 def confidence_of(picture):
@@ -89,3 +94,36 @@ def test_flipped_picture_has_the_flipped_confidence(clouds, defocused):
 def test_bad_map_is_an_error_that_names_it(clouds, blur_map, error, words):
     with pytest.raises(error, match=words):
         confidence_map(estimate_candidates(clouds), blur_map)
+
+
+def test_cautious_map_is_never_above_the_map_and_keeps_what_is_sure(clouds, defocused):
+    picture = defocused(clouds, 3.0)
+    candidates = estimate_candidates(picture)
+    blur_map = label_blur_map(candidates, picture)
+    safe = cautious_blur_map(candidates, blur_map)
+    assert safe.dtype == np.float32
+    assert (safe <= blur_map).all()
+    assert np.median(blur_map - safe) < 0.1
+    np.testing.assert_allclose(cautious_blur_map(candidates, blur_map, risk=1.0), blur_map)
+
+
+def test_cautious_map_trusts_no_wrong_map(clouds, defocused):
+    candidates = estimate_candidates(defocused(clouds, 3.0))
+    wrong = np.full(clouds.shape, 6.0)
+    assert np.median(cautious_blur_map(candidates, wrong)) < 3.7
+
+
+def test_lower_risk_takes_less_away(clouds, defocused):
+    picture = defocused(clouds, 3.0, noise_variance=1e-3)
+    candidates = estimate_candidates(picture)
+    blur_map = label_blur_map(candidates, picture)
+    safe = [cautious_blur_map(candidates, blur_map, risk=risk).mean() for risk in (0, 0.1, 0.5)]
+    assert safe[0] < 0.5
+    assert safe == sorted(safe)
+
+
+@pytest.mark.parametrize("risk", [-0.1, 1.1, np.nan])
+def test_impossible_risk_is_refused(clouds, risk):
+    candidates = estimate_candidates(clouds)
+    with pytest.raises(ValueError, match="risk"):
+        cautious_blur_map(candidates, np.ones(clouds.shape), risk=risk)

@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+from scipy.ndimage import convolve
+
+from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon
+from napari_defocus.blur_operator import BlurOperator, half_variance_slope
+
+FAMILIES = [
+    Disc(),
+    Gaussian(),
+    Polygon(3, rotation=20),
+    Annulus(0.6),
+    MeasuredPSF([2.0, 5.0], [Polygon(5).kernel(5.0)] * 2),
+]
+
+
+@pytest.fixture
+def drawn():
+    return np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("psf", FAMILIES, ids=lambda psf: type(psf).__name__)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_adjoint_has_the_same_weights(psf, channels, drawn):
+    scales = drawn.uniform(0, psf.max_scale, (37, 50)).astype(np.float32)
+    blur = BlurOperator(scales, psf, channels)
+    f = drawn.standard_normal((*blur.domain, channels), np.float32)
+    y = drawn.standard_normal((*blur.shape, channels), np.float32)
+    there = np.vdot(blur.apply(f).astype(float), y)
+    back = np.vdot(f.astype(float), blur.adjoint(y))
+    norms = np.linalg.norm(blur.apply(f)) * np.linalg.norm(y)
+    assert abs(there - back) < 1e-6 * norms
+
+
+@pytest.mark.parametrize("psf", FAMILIES, ids=lambda psf: type(psf).__name__)
+@pytest.mark.parametrize("scale", [0.0, 1.3, 3.0])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_constant_scale_is_a_convolution(psf, scale, channels, drawn):
+    picture = drawn.random((30, 41, channels), np.float32)
+    blur = BlurOperator(np.full((30, 41), scale, np.float32), psf, channels)
+    kernel = psf.kernel(scale)[..., None]
+    expected = convolve(picture.astype(float), kernel, mode="reflect")
+    np.testing.assert_allclose(blur.apply(blur.extend(picture)), expected, atol=1e-5)
+
+
+def test_domain_holds_all_that_is_gathered():
+    blur = BlurOperator(np.full((20, 30), 6.0, np.float32), Disc(), 1)
+    weight = blur.adjoint(np.ones((20, 30, 1), np.float32))
+    assert weight.sum() == pytest.approx(600, rel=1e-5)
+    rows, columns = blur.inner
+    assert (rows.stop - rows.start, columns.stop - columns.start) == (20, 30)
+    assert rows.start >= 6 <= blur.domain[0] - rows.stop
+
+
+def test_spreading_in_bands_misses_no_row():
+    """More rows than a band has, as wide as several blocks."""
+    blur = BlurOperator(np.full((100, 61), 2.0, np.float32), Disc(), 3)
+    weight = blur.adjoint(np.ones((100, 61, 3), np.float32))[blur.inner]
+    np.testing.assert_allclose(weight[5:-5, 5:-5], 1, atol=1e-5)
+
+
+def test_growth_of_the_variance_of_a_disc_is_its_radius_over_4():
+    radii = np.array([[2.0, 4.0, 7.5]], np.float32)
+    np.testing.assert_allclose(half_variance_slope(Disc(), radii), radii / 4, rtol=0.1)
+
+
+def test_growth_of_the_variance_of_a_gaussian_is_its_sigma():
+    sigma = np.array([[1.0, 2.0, 3.5]], np.float32)
+    np.testing.assert_allclose(half_variance_slope(Gaussian(), sigma), sigma, rtol=0.1)
