@@ -19,12 +19,8 @@ from napari_defocus.settings import (
     psf_of,
 )
 from napari_defocus.widgets.kept_candidates import KeptCandidates, fingerprint
-from napari_defocus.widgets.layers import (
-    Plane,
-    blur_map_layer,
-    confidence_layer,
-    in_focus_layer,
-)
+from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
 from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:

@@ -11,13 +11,8 @@ from napari.types import LayerDataTuple
 from napari.utils.notifications import show_warning
 
 from napari_defocus.widgets.calibration import Calibration, numbers, planes_of
-from napari_defocus.widgets.layers import (
-    METADATA_KEY,
-    NotAnalysableError,
-    Plane,
-    made_by_us,
-    show_results,
-)
+from napari_defocus.widgets.layers import NotAnalysableError, Plane
+from napari_defocus.widgets.results import METADATA_KEY, made_by_us, show_results
 from napari_defocus.widgets.run_panel import RunPanel, wrap
 from napari_defocus.widgets.workers import Run
 

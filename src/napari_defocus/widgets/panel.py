@@ -14,18 +14,16 @@ from napari_defocus import PSFEvidence
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.analysis import Analysis, Comparison
 from napari_defocus.widgets.kept_candidates import KeptCandidates
-from napari_defocus.widgets.layers import (
+from napari_defocus.widgets.layers import NotAnalysableError, Plane, shown_plane
+from napari_defocus.widgets.result_layers import not_trusted_layer
+from napari_defocus.widgets.results import (
     CONFIDENCE,
     MEASURED_PSF,
     METADATA_KEY,
     NOT_TRUSTED,
-    NotAnalysableError,
-    Plane,
     layer_of_result,
     made_by_us,
-    not_trusted_layer,
     show_results,
-    shown_plane,
 )
 from napari_defocus.widgets.run_panel import RunPanel
 from napari_defocus.widgets.seeds import SEEDS, Seeds, add_seeds_layer, shown_seeds
