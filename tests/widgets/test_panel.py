@@ -10,10 +10,10 @@ from napari.utils.notifications import notification_manager
 import napari_defocus
 from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets import panel
 from napari_defocus.widgets.blur_map import BlurMapWidget
+from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.in_focus import InFocusWidget
-from napari_defocus.widgets.kept_candidates import KeptCandidates
+from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
 
 pytestmark = pytest.mark.display
@@ -23,7 +23,7 @@ ALL = [BlurMapWidget, InFocusWidget, MapAndMaskWidget]
 
 @pytest.fixture(autouse=True)
 def _nothing_kept(monkeypatch):
-    monkeypatch.setattr(panel, "KEPT_CANDIDATES", KeptCandidates())
+    monkeypatch.setattr(ImagePanel, "kept", KeptWork())
 
 
 @pytest.fixture
@@ -387,9 +387,9 @@ def test_removed_layer_ends_its_run_without_a_word(
 def test_deleted_layer_takes_its_candidates_with_it(window, docked, finish, method, texture, qtbot):
     window.add_image(texture, name="leaf")
     finish(docked(BlurMapWidget))
-    assert len(panel.KEPT_CANDIDATES) == 1
+    assert len(ImagePanel.kept.candidates) == 1
     window.layers.clear()
-    qtbot.waitUntil(lambda: collected() and len(panel.KEPT_CANDIDATES) == 0)
+    qtbot.waitUntil(lambda: collected() and len(ImagePanel.kept.candidates) == 0)
 
 
 def collected():

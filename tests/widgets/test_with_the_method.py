@@ -6,8 +6,9 @@ from napari.components import ViewerModel
 from skimage.data import gravel
 
 from napari_defocus import simulate_defocus
-from napari_defocus.widgets import analysis, panel
-from napari_defocus.widgets.kept_candidates import KeptCandidates
+from napari_defocus.widgets import estimation
+from napari_defocus.widgets.image_panel import ImagePanel
+from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
 
 pytestmark = pytest.mark.display
@@ -15,7 +16,7 @@ pytestmark = pytest.mark.display
 
 @pytest.fixture
 def viewer(monkeypatch):
-    monkeypatch.setattr(panel, "KEPT_CANDIDATES", KeptCandidates())
+    monkeypatch.setattr(ImagePanel, "kept", KeptWork())
     return ViewerModel()
 
 
@@ -56,13 +57,13 @@ def test_sharp_half_and_blurred_half_are_told_apart(viewer, run, qtbot, dtype):
 @pytest.mark.parametrize(
     ("step", "large"),
     [
-        ("Estimating blur", analysis.LARGE),
-        ("Making the map coherent", analysis.LARGE),
+        ("Estimating blur", estimation.LARGE),
+        ("Making the map coherent", estimation.LARGE),
         ("Making the map coherent", 300_000),
     ],
 )
 def test_cancel_acts_within_a_second_in_every_step(viewer, run, qtbot, monkeypatch, step, large):
-    monkeypatch.setattr(analysis, "LARGE", large)
+    monkeypatch.setattr(estimation, "LARGE", large)
     viewer.add_image(half_blurred(64, 64), name="what compiles everything")
     with qtbot.waitSignal(run()[1].finished, timeout=120_000):
         pass
