@@ -201,6 +201,8 @@ def test_sharp_picture_is_none_of_the_blurred_ones(viewer, widget):
     widget.sharp.value = viewer.layers["other"]
     assert widget.pictures.value == "lamps 2, lamps 5"
     assert [plane.name for plane in widget.calibration().sharp] == ["other"]
+    widget.sharp.value = None
+    assert widget.pictures.value == "lamps 2, lamps 5, other"
 
 
 @pytest.mark.display
