@@ -21,7 +21,7 @@ class NotAnalysableError(ValueError):
     """The layer, as it is shown now, has no plane to analyse; the message says why."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plane:
     """One plane of an image layer, not read yet, and where it lies.
 
@@ -50,13 +50,22 @@ class Plane:
     contrast_limits: tuple[float, float]
     contrast_limits_range: tuple[float, float]
 
-    def read(self) -> NDArray[Any]:
+    def __eq__(self, other: object) -> bool:
+        """Tell whether it is the same plane of the same data, wherever the layer lies."""
+        return (
+            isinstance(other, Plane)
+            and self.layer == other.layer
+            and self.data is other.data
+            and self.index == other.index
+        )
+
+    def values(self) -> NDArray[Any]:
         """Return a copy of the plane's pixels; dask computes this plane and no other.
 
         Raises
         ------
         NotAnalysableError
-            If the plane has NaN or infinite pixels, or is too large.
+            If the plane is too large.
         """
         plane = self.data[self.index]
         if np.prod(plane.shape[:2]) > MAX_PIXELS:
@@ -64,7 +73,17 @@ class Plane:
                 f"it has {np.prod(plane.shape[:2]) / 1e6:.0f} million pixels, more than "
                 f"{MAX_PIXELS / 1e6:.0f} million. Crop it first."
             )
-        image = np.array(plane)
+        return np.array(plane)
+
+    def read(self) -> NDArray[Any]:
+        """Return a copy of the plane's pixels, all of which have a value, see `values`.
+
+        Raises
+        ------
+        NotAnalysableError
+            If the plane has NaN or infinite pixels, or is too large.
+        """
+        image = self.values()
         if image.dtype.kind == "f" and not np.isfinite(image).all():
             raise NotAnalysableError(
                 "it has pixels without a value (NaN or infinite). "

@@ -71,7 +71,11 @@ def blur_map_layer(
         "colormap": COLOR_MAP,
         "contrast_limits": (0.0, float(psf.max_scale)),
         "metadata": provenance(
-            plane, BLUR_MAP, asdict(settings), noise_variance, scale=psf.scale_name
+            plane,
+            BLUR_MAP,
+            asdict(settings),
+            noise_variance=float(noise_variance),
+            scale=psf.scale_name,
         ),
         **plane.placement,
     }
@@ -108,7 +112,9 @@ def confidence_layer(
         "colormap": CONFIDENCE_COLOR_MAP,
         "contrast_limits": (0.0, 1.0),
         "visible": False,
-        "metadata": provenance(plane, CONFIDENCE, asdict(settings), noise_variance),
+        "metadata": provenance(
+            plane, CONFIDENCE, asdict(settings), noise_variance=float(noise_variance)
+        ),
         **plane.placement,
     }
     return LayerDataTuple((plane.expanded(confidence), keywords, "image"))
@@ -180,7 +186,7 @@ def in_focus_layer(
             plane,
             IN_FOCUS,
             {**asdict(estimation), **asdict(settings)},
-            noise_variance,
+            noise_variance=float(noise_variance),
             seeds=seeds,
         ),
         **plane.placement,
