@@ -27,6 +27,9 @@ ESTIMATION_SHARE = 0.6
 LARGE = 1_000_000
 """In px: larger pictures are labelled in another process, as cuts would stop the window."""
 
+LARGEST_RADIUS = 20.0
+"""In px: forms let look up to it, and pictures are restored up to it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Picture:

@@ -17,6 +17,7 @@ from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.result_layers import not_trusted_layer
 from napari_defocus.widgets.results import (
+    BLUR_MAP,
     CONFIDENCE,
     METADATA_KEY,
     NOT_TRUSTED,
@@ -211,7 +212,9 @@ class DefocusPanel(ImagePanel):
         """Show results; whoever paints seeds goes on painting on their layer."""
         selection = self._viewer.layers.selection
         painted = selection.active
-        show_results(self._viewer, results)
+        for layer in show_results(self._viewer, results):
+            # Other widgets hide the map that they make on the way.
+            layer.visible |= made_by_us(layer) == BLUR_MAP
         if painted is not None and painted == self.seeds.value:
             selection.active = painted
 
