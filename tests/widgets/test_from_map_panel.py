@@ -95,30 +95,29 @@ def test_every_field_explains_itself(opened, widget_class):
         assert len(field.tooltip) > 40, field.name
 
 
-@pytest.mark.parametrize("widget_class", ALL)
+@pytest.mark.parametrize(
+    ("widget_class", "always"), [(AllInFocusWidget, 2), (ChangeFocusWidget, 1), (DepthWidget, 0)]
+)
 def test_only_what_the_chosen_map_leaves_open_is_asked_for(
-    window, docked, finish, method, texture, widget_class
+    viewer, opened, finish, method, texture, widget_class, always
 ):
-    window.add_image(texture, name="leaf")
-    finish(docked(BlurMapWidget))
-    theirs = window.add_image(np.ones(texture.shape), name="theirs")
-    widget = docked(widget_class)
-    widget.image.value = window.layers["leaf"]
+    viewer.add_image(texture, name="leaf")
+    finish(opened(BlurMapWidget))
+    theirs = viewer.add_image(np.ones(texture.shape), name="theirs")
+    widget = opened(widget_class)
+    widget.image.value = viewer.layers["leaf"]
     settings = widget.settings
     settings.more.native.click()
     more = len(settings.more_fields())
-    for layer, asked in (
-        (None, (True, True, more)),
-        (theirs, (True, False, None)),
-        (window.layers["leaf blur (px)"], (False, False, None)),
-        (None, (True, True, more)),
+    for layer, lens, largest, count in (
+        (None, True, True, more),
+        (theirs, True, False, always),
+        (viewer.layers["leaf blur (px)"], False, False, always),
+        (None, True, True, more),
     ):
         widget.blur_map.value = layer
-        lens, largest, count = asked
         assert bool(shown([settings.lens.lens])) == lens
         assert bool(shown([settings.max_radius])) == largest
-        if count is None:
-            count = {AllInFocusWidget: 2, ChangeFocusWidget: 1, DepthWidget: 0}[widget_class]
         assert len(shown(settings.more_fields())) == count
         assert bool(shown([settings.more])) == (count > 0)
 
@@ -164,11 +163,10 @@ def test_map_of_a_layer_is_used(viewer, opened, finish, method, texture, widget_
     assert len(viewer.layers) == 3
 
 
-@pytest.mark.parametrize("widget_class", ALL)
-def test_chosen_map_that_is_removed_is_estimated_again(window, docked, texture, widget_class):
+def test_chosen_map_that_is_removed_is_estimated_again(window, docked, texture):
     window.add_image(texture, name="leaf")
     theirs = window.add_image(np.ones(texture.shape), name="theirs")
-    widget = docked(widget_class)
+    widget = docked(DepthWidget)
     widget.image.value = window.layers["leaf"]
     widget.blur_map.value = theirs
     window.layers.remove("theirs")
@@ -295,6 +293,10 @@ def test_focus_is_picked_from_the_map_that_was_estimated(
     assert "no blur map to read the focus from" in messages()[0]
     assert widget.pick.text == PICK
     finish(widget)
+    viewer.dims.ndisplay = 3
+    widget.pick_focus()
+    assert "Switch the viewer to 2-D" in messages()[1]
+    viewer.dims.ndisplay = 2
     widget.pick_focus()
     click(viewer, (5, 5))
     assert widget.focus.value == method.radius
@@ -312,14 +314,14 @@ def test_value_of_a_layer_is_read_where_it_lies(viewer):
     assert value_at(layer, (12, 10, 0)) is None
 
 
-def test_surface_comes_if_it_is_wanted(window, docked, finish, method, texture):
-    window.add_image(texture, name="leaf")
-    widget = ready(docked(DepthWidget))
+def test_surface_comes_if_it_is_wanted(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = ready(opened(DepthWidget))
     widget.surface.value = True
     widget.min_confidence.value = 0.2
     finish(widget)
-    assert names(window)[-2:] == ["leaf depth (m)", "leaf depth surface"]
-    assert window.dims.ndisplay == 2
+    assert names(viewer)[-2:] == ["leaf depth (m)", "leaf depth surface"]
+    assert viewer.dims.ndisplay == 2
     assert "Not known on 20%" in widget.status.value
 
 

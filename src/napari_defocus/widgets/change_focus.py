@@ -145,6 +145,8 @@ class ChangeFocusWidget(FromMapPanel):
             self._picker.stop()
         elif self._known_map() is None:
             show_warning("There is no blur map to read the focus from. Run once, or choose one.")
+        elif self._viewer.dims.ndisplay == 3:
+            show_warning("Switch the viewer to 2-D to pick a place in the picture.")
         else:
             self._picker.start()
         self.pick.text = PICKING if self._picker.waiting else PICK
@@ -183,13 +185,17 @@ class ChangeFocusWidget(FromMapPanel):
 
     def _on_view(self) -> None:
         """Blur the restored picture again, if that is all there is to do."""
+        if not self.follow.value or self.image.value is None:
+            return
         if self._running is not None:
             self._again = True
-        elif self.follow.value and self._restored is not None and self.image.value is not None:
-            with suppress(ValueError):
-                work = self.work()
-                if work.restoration == self._restored:
-                    self._start_on(work)
+            if self._started == self._restored:
+                self._running.cancel()
+            return
+        with suppress(ValueError):
+            work = self.work()
+            if work.restoration == self._restored:
+                self._start_on(work)
 
     def _start_on(self, work: Work) -> Run:
         self._started = work.restoration if isinstance(work, Refocusing) else None
