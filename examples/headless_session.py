@@ -11,14 +11,14 @@ from napari_defocus import (
     segment_in_focus,
 )
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.layers import (
+from napari_defocus.widgets.layers import shown_plane
+from napari_defocus.widgets.result_layers import (
     blur_map_layer,
     confidence_layer,
     in_focus_layer,
     not_trusted_layer,
-    show_results,
-    shown_plane,
 )
+from napari_defocus.widgets.results import show_results
 
 
 def main():

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from napari.components import ViewerModel
+from napari.utils.notifications import notification_manager
 
 import napari_defocus
 from napari_defocus import ShotNoise
@@ -26,6 +28,63 @@ def pytest_runtest_setup(item):
     pytest.skip(reason)
 
 
+@pytest.fixture(autouse=True)
+def _nothing_kept(request, monkeypatch):
+    if request.node.get_closest_marker("display") is None:
+        return
+    from napari_defocus.widgets.image_panel import ImagePanel
+    from napari_defocus.widgets.kept import KeptWork
+
+    monkeypatch.setattr(ImagePanel, "kept", KeptWork())
+
+
+@pytest.fixture
+def viewer():
+    return ViewerModel()
+
+
+@pytest.fixture
+def window(make_napari_viewer_proxy):
+    return make_napari_viewer_proxy()
+
+
+@pytest.fixture
+def messages():
+    notification_manager.records.clear()
+    return lambda: [record.message for record in notification_manager.records]
+
+
+@pytest.fixture
+def opened(viewer, qtbot):
+    def open_widget(widget_class):
+        widget = widget_class(viewer)
+        qtbot.addWidget(widget.native)
+        return widget
+
+    return open_widget
+
+
+@pytest.fixture
+def docked(window):
+    def dock(widget_class):
+        widget = widget_class(window)
+        window.window.add_dock_widget(widget)
+        return widget
+
+    return dock
+
+
+@pytest.fixture
+def finish(qtbot):
+    def run(widget, timeout=30_000):
+        running = widget.run()
+        assert running is not None
+        with qtbot.waitSignal(running.finished, timeout=timeout):
+            pass
+
+    return run
+
+
 @pytest.fixture
 def texture():
     return np.random.default_rng(1).uniform(0.1, 0.9, (96, 128)).astype(np.float32)
@@ -41,6 +100,8 @@ class StandIn:
     noises: list = field(default_factory=list)
     labelings: list = field(default_factory=list)
     segmentations: list = field(default_factory=list)
+    restorations: list = field(default_factory=list)
+    refocusings: list = field(default_factory=list)
 
     def estimate_candidates(self, image, *, progress, **arguments):
         self.estimations.append({"image": image, **arguments})
@@ -66,6 +127,16 @@ class StandIn:
         self.segmentations.append({"threshold": threshold, **arguments})
         return np.full(candidates.image_shape, self.radius <= threshold, np.uint8)
 
+    def restore_all_in_focus(self, image, blur_map, *, progress, **arguments):
+        self.restorations.append({"image": image, "blur_map": blur_map, **arguments})
+        progress("Taking the blur away", 0.5)
+        return np.full((*image.shape[:2], 3)[: image.ndim], 0.25, np.float32)
+
+    def change_focus(self, image, blur_map, *, progress, **arguments):
+        self.refocusings.append({"image": image, "blur_map": blur_map, **arguments})
+        progress("Blurring again", 0.5)
+        return np.full_like(arguments["all_in_focus"], arguments["focus"] / 10)
+
 
 @pytest.fixture
 def method(monkeypatch):
@@ -76,6 +147,8 @@ def method(monkeypatch):
         "label_blur_map",
         "confidence_map",
         "segment_in_focus",
+        "restore_all_in_focus",
+        "change_focus",
     ):
         monkeypatch.setitem(vars(napari_defocus), name, getattr(stand_in, name))
     return stand_in

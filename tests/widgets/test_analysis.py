@@ -5,9 +5,9 @@ from napari.components import ViewerModel
 from napari_defocus import Annulus, Polygon, ShotNoise, simulate_defocus
 from napari_defocus.other_process import run_elsewhere
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
-from napari_defocus.widgets import analysis as analysis_of_widgets
+from napari_defocus.widgets import estimation
 from napari_defocus.widgets.analysis import Analysis, Comparison
-from napari_defocus.widgets.kept_candidates import KeptCandidates
+from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import shown_plane
 
 
@@ -31,7 +31,7 @@ def analysis(viewer, layer, *, threshold=None, blur_map=True, **estimation):
 
 
 def test_another_threshold_does_not_estimate_again(viewer, layer, method):
-    kept = KeptCandidates()
+    kept = KeptWork()
     [dim] = analysis(viewer, layer, threshold=2.0, blur_map=False).run(kept)
     [lit] = analysis(viewer, layer, threshold=3.0, blur_map=False).run(kept)
     assert len(method.estimations) == 1
@@ -40,7 +40,7 @@ def test_another_threshold_does_not_estimate_again(viewer, layer, method):
 
 
 def test_mask_reuses_what_the_map_has_found(viewer, layer, method):
-    kept = KeptCandidates()
+    kept = KeptWork()
     analysis(viewer, layer).run(kept)
     analysis(viewer, layer, smoothness=3.0).run(kept)
     analysis(viewer, layer, threshold=2.0, blur_map=False).run(kept)
@@ -58,14 +58,14 @@ def test_mask_reuses_what_the_map_has_found(viewer, layer, method):
     ],
 )
 def test_other_estimation_settings_estimate_again(viewer, layer, method, changed):
-    kept = KeptCandidates()
+    kept = KeptWork()
     analysis(viewer, layer).run(kept)
     analysis(viewer, layer, **changed).run(kept)
     assert len(method.estimations) == 2
 
 
 def test_edited_picture_is_estimated_again(viewer, layer, method):
-    kept = KeptCandidates()
+    kept = KeptWork()
     analysis(viewer, layer).run(kept)
     layer.data[10, 10] = 0.0
     analysis(viewer, layer).run(kept)
@@ -77,7 +77,7 @@ def test_edited_picture_is_estimated_again(viewer, layer, method):
 def test_settings_reach_the_method(viewer, layer, method):
     analysis(
         viewer, layer, threshold=1.2, max_radius=5.0, noise_variance=2e-5, color_sigma=0.3
-    ).run(KeptCandidates())
+    ).run(KeptWork())
     [estimation] = method.estimations
     assert estimation["psf"].max_radius == 5.0
     assert estimation["noise_variance"] == 2e-5
@@ -88,9 +88,7 @@ def test_settings_reach_the_method(viewer, layer, method):
 
 
 def test_lens_light_and_noise_reach_the_method(viewer, layer, method):
-    analysis(viewer, layer, psf="polygon:5", linearize="srgb", shot_noise=True).run(
-        KeptCandidates()
-    )
+    analysis(viewer, layer, psf="polygon:5", linearize="srgb", shot_noise=True).run(KeptWork())
     [estimation] = method.estimations
     assert estimation["psf"] == Polygon(5)
     assert estimation["linearize"] == method.noises[0]["linearize"] == "srgb"
@@ -102,7 +100,7 @@ def test_confidence_comes_with_the_map_if_it_is_wanted(viewer, layer, method, co
     wanted = Analysis(
         plane=shown_plane(layer, viewer.dims), estimation=MapSettings(), confidence=confidence
     )
-    layers = wanted.run(KeptCandidates())
+    layers = wanted.run(KeptWork())
     assert [keywords["name"] for _, keywords, _ in layers] == ["leaf blur (px)", *names]
 
 
@@ -128,7 +126,7 @@ def test_comparison_has_the_lens_of_the_form_too_and_the_right_one_first(viewer,
 def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, method):
     data = np.random.default_rng(0).integers(0, 4096, (32, 48)).astype(np.uint16)
     layer = viewer.add_image(data, contrast_limits=(0, 4095))
-    analysis(viewer, layer, threshold=2.0).run(KeptCandidates())
+    analysis(viewer, layer, threshold=2.0).run(KeptWork())
     for call in (method.estimations[0], method.labelings[0], method.segmentations[0]):
         assert call["intensity_range"] == (0.0, 4095.0)
 
@@ -136,16 +134,16 @@ def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, metho
 def test_large_pictures_are_cut_in_another_process_with_the_same_result(viewer, monkeypatch):
     picture = np.random.default_rng(0).uniform(0, 1, (48, 64, 3)).astype(np.float32)
     layer = viewer.add_image(picture, rgb=True)
-    kept, elsewhere = KeptCandidates(), []
+    kept, elsewhere = KeptWork(), []
 
     def spy(function, *args, **keywords):
         elsewhere.append(function.__name__)
         return run_elsewhere(function, *args, **keywords)
 
-    monkeypatch.setattr(analysis_of_widgets, "run_elsewhere", spy)
+    monkeypatch.setattr(estimation, "run_elsewhere", spy)
     here = analysis(viewer, layer, threshold=2.0).run(kept)
     assert not elsewhere
-    monkeypatch.setattr(analysis_of_widgets, "LARGE", picture[..., 0].size - 1)
+    monkeypatch.setattr(estimation, "LARGE", picture[..., 0].size - 1)
     there = analysis(viewer, layer, threshold=2.0).run(kept)
     assert elsewhere == ["label_blur_map", "segment_in_focus"]
     for (data, keywords, kind), (same_data, same_keywords, same_kind) in zip(
@@ -157,8 +155,6 @@ def test_large_pictures_are_cut_in_another_process_with_the_same_result(viewer, 
 
 def test_progress_rises_from_0_to_1(viewer, layer, method):
     seen = []
-    analysis(viewer, layer, threshold=2.0).run(
-        KeptCandidates(), lambda step, done: seen.append(done)
-    )
+    analysis(viewer, layer, threshold=2.0).run(KeptWork(), lambda step, done: seen.append(done))
     assert seen == sorted(seen)
     assert 0.0 <= seen[0] <= seen[-1] <= 1.0

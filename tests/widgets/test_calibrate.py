@@ -11,7 +11,8 @@ from napari_defocus import Annulus, MeasuredPSF, simulate_defocus
 from napari_defocus.widgets.blur_map import BlurMapWidget
 from napari_defocus.widgets.calibrate import CalibrateWidget
 from napari_defocus.widgets.calibration import Calibration, numbers, planes_of
-from napari_defocus.widgets.layers import METADATA_KEY, NotAnalysableError, made_by_us
+from napari_defocus.widgets.layers import NotAnalysableError
+from napari_defocus.widgets.results import METADATA_KEY, made_by_us
 
 RING = Annulus(0.4)
 
@@ -200,6 +201,8 @@ def test_sharp_picture_is_none_of_the_blurred_ones(viewer, widget):
     widget.sharp.value = viewer.layers["other"]
     assert widget.pictures.value == "lamps 2, lamps 5"
     assert [plane.name for plane in widget.calibration().sharp] == ["other"]
+    widget.sharp.value = None
+    assert widget.pictures.value == "lamps 2, lamps 5, other"
 
 
 @pytest.mark.display

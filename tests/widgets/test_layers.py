@@ -7,17 +7,14 @@ from napari.layers import Image, Labels
 from napari_defocus import __version__
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets import layers
-from napari_defocus.widgets.layers import (
-    METADATA_KEY,
-    NotAnalysableError,
+from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.result_layers import (
     blur_map_layer,
     confidence_layer,
     in_focus_layer,
-    made_by_us,
     not_trusted_layer,
-    show_results,
-    shown_plane,
 )
+from napari_defocus.widgets.results import METADATA_KEY, made_by_us, show_results
 
 PLACED = {
     "scale": (0.5, 0.25),

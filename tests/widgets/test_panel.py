@@ -4,73 +4,18 @@ import time
 
 import numpy as np
 import pytest
-from napari.components import ViewerModel
-from napari.utils.notifications import notification_manager
 
 import napari_defocus
 from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets import panel
 from napari_defocus.widgets.blur_map import BlurMapWidget
+from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.in_focus import InFocusWidget
-from napari_defocus.widgets.kept_candidates import KeptCandidates
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
 
 pytestmark = pytest.mark.display
 
 ALL = [BlurMapWidget, InFocusWidget, MapAndMaskWidget]
-
-
-@pytest.fixture(autouse=True)
-def _nothing_kept(monkeypatch):
-    monkeypatch.setattr(panel, "KEPT_CANDIDATES", KeptCandidates())
-
-
-@pytest.fixture
-def viewer():
-    return ViewerModel()
-
-
-@pytest.fixture
-def window(make_napari_viewer_proxy):
-    return make_napari_viewer_proxy()
-
-
-@pytest.fixture
-def messages():
-    notification_manager.records.clear()
-    return lambda: [record.message for record in notification_manager.records]
-
-
-@pytest.fixture
-def opened(viewer, qtbot):
-    def open_widget(widget_class):
-        widget = widget_class(viewer)
-        qtbot.addWidget(widget.native)
-        return widget
-
-    return open_widget
-
-
-@pytest.fixture
-def docked(window):
-    def dock(widget_class):
-        widget = widget_class(window)
-        window.window.add_dock_widget(widget)
-        return widget
-
-    return dock
-
-
-@pytest.fixture
-def finish(qtbot):
-    def run(widget, timeout=30_000):
-        running = widget.run()
-        assert running is not None
-        with qtbot.waitSignal(running.finished, timeout=timeout):
-            pass
-
-    return run
 
 
 def names(viewer):
@@ -387,9 +332,9 @@ def test_removed_layer_ends_its_run_without_a_word(
 def test_deleted_layer_takes_its_candidates_with_it(window, docked, finish, method, texture, qtbot):
     window.add_image(texture, name="leaf")
     finish(docked(BlurMapWidget))
-    assert len(panel.KEPT_CANDIDATES) == 1
+    assert len(ImagePanel.kept.candidates) == 1
     window.layers.clear()
-    qtbot.waitUntil(lambda: collected() and len(panel.KEPT_CANDIDATES) == 0)
+    qtbot.waitUntil(lambda: collected() and len(ImagePanel.kept.candidates) == 0)
 
 
 def collected():
@@ -503,7 +448,10 @@ def test_closing_the_widget_ends_its_run(window, docked, qtbot, endless_method, 
 def test_widgets_are_in_the_menus(window):
     for menu in (window.window.layers_menu, window.window.plugins_menu):
         shown = list(texts(menu))
-        for name in ("Blur map", "In focus", "Blur map and in focus", "Calibrate a lens"):
+        for name in (
+            *("Blur map", "In focus", "Blur map and in focus"),
+            *("All in focus", "Change focus", "Depth", "Calibrate a lens"),
+        ):
             assert f"{name} (Defocus)" in shown
 
 

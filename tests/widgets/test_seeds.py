@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_defocus.widgets.layers import made_by_us, shown_plane
+from napari_defocus.widgets.layers import shown_plane
+from napari_defocus.widgets.results import made_by_us
 from napari_defocus.widgets.seeds import SEEDS, add_seeds_layer, shown_seeds
 
 PLACED = {

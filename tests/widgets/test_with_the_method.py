@@ -2,21 +2,15 @@
 
 import numpy as np
 import pytest
-from napari.components import ViewerModel
 from skimage.data import gravel
 
 from napari_defocus import simulate_defocus
-from napari_defocus.widgets import analysis, panel
-from napari_defocus.widgets.kept_candidates import KeptCandidates
+from napari_defocus.widgets import estimation
+from napari_defocus.widgets.all_in_focus import AllInFocusWidget
+from napari_defocus.widgets.change_focus import ChangeFocusWidget
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
 
 pytestmark = pytest.mark.display
-
-
-@pytest.fixture
-def viewer(monkeypatch):
-    monkeypatch.setattr(panel, "KEPT_CANDIDATES", KeptCandidates())
-    return ViewerModel()
 
 
 @pytest.fixture
@@ -56,13 +50,13 @@ def test_sharp_half_and_blurred_half_are_told_apart(viewer, run, qtbot, dtype):
 @pytest.mark.parametrize(
     ("step", "large"),
     [
-        ("Estimating blur", analysis.LARGE),
-        ("Making the map coherent", analysis.LARGE),
+        ("Estimating blur", estimation.LARGE),
+        ("Making the map coherent", estimation.LARGE),
         ("Making the map coherent", 300_000),
     ],
 )
 def test_cancel_acts_within_a_second_in_every_step(viewer, run, qtbot, monkeypatch, step, large):
-    monkeypatch.setattr(analysis, "LARGE", large)
+    monkeypatch.setattr(estimation, "LARGE", large)
     viewer.add_image(half_blurred(64, 64), name="what compiles everything")
     with qtbot.waitSignal(run()[1].finished, timeout=120_000):
         pass
@@ -73,3 +67,29 @@ def test_cancel_acts_within_a_second_in_every_step(viewer, run, qtbot, monkeypat
     with qtbot.waitSignal(running.finished, timeout=1000):
         widget.cancel()
     assert [layer.name for layer in viewer.layers] == ["large"]
+
+
+def test_blurred_half_becomes_sharp_and_the_sharp_half_blurred(viewer, qtbot):
+    viewer.add_image(half_blurred(96, 128), name="halves")
+    all_in_focus, change_focus = AllInFocusWidget(viewer), ChangeFocusWidget(viewer)
+    change_focus.linear_light.value = False
+    change_focus.focus.value = 4.0
+    for widget in (all_in_focus, change_focus):
+        qtbot.addWidget(widget.native)
+        with qtbot.waitSignal(widget.run().finished, timeout=120_000):
+            pass
+    before, sharp, refocused = (
+        detail(viewer.layers[name].data)
+        for name in ("halves", "halves all in focus", "halves refocused")
+    )
+    assert sharp[1] > 1.5 * before[1]
+    assert sharp[0] > 0.9 * before[0]
+    assert refocused[1] > 1.5 * before[1]
+    assert refocused[0] < 0.7 * before[0]
+
+
+def detail(picture):
+    """Standard deviation of differences between columns: left half, right half."""
+    steps = np.diff(picture, axis=1)
+    middle = picture.shape[1] // 2
+    return [float(half.std()) for half in (steps[:, 10 : middle - 10], steps[:, middle + 10 : -10])]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from napari.types import LayerDataTuple
-from numpy.typing import NDArray
 
-from napari_defocus.other_process import run_elsewhere
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.settings import (
     COMPARED_PSFS,
@@ -18,23 +15,20 @@ from napari_defocus.settings import (
     check_threshold,
     psf_of,
 )
-from napari_defocus.widgets.kept_candidates import KeptCandidates, fingerprint
-from napari_defocus.widgets.layers import (
-    Plane,
-    blur_map_layer,
-    confidence_layer,
-    in_focus_layer,
+from napari_defocus.widgets.estimation import (
+    ESTIMATION_SHARE,
+    Picture,
+    cut,
+    estimated_candidates,
+    labelled_map,
 )
+from napari_defocus.widgets.kept import KeptWork
+from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
 from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:
-    from napari_defocus import BlurCandidates, PSFEvidence, ShotNoise
-
-ESTIMATION_SHARE = 0.6
-"""Of the time of a run; the rest is labelling."""
-
-LARGE = 1_000_000
-"""In px: larger pictures are labelled in another process, as cuts would stop the window."""
+    from napari_defocus import BlurCandidates, PSFEvidence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,82 +63,35 @@ class Analysis:
         if self.mask is not None:
             check_threshold(self.mask.threshold, family.max_scale)
 
-    def run(self, kept: KeptCandidates, progress: Progress = silent) -> list[LayerDataTuple]:
+    def run(self, kept: KeptWork, progress: Progress = silent) -> list[LayerDataTuple]:
         """Return the wanted result layers.
 
         Parameters
         ----------
-        kept : KeptCandidates
-            Candidates of earlier runs; those of this one are added.
+        kept : KeptWork
+            What earlier runs have found; what this one finds is added.
         progress : callable, optional
             See `napari_defocus.progress`.
         """
-        image = self.plane.read()
-        span = self.plane.intensity_range(image)
+        picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
-        candidates = self._candidates(image, span, kept, within(progress, 0.0, ESTIMATION_SHARE))
+        estimating = within(progress, 0.0, ESTIMATION_SHARE)
+        candidates = estimated_candidates(picture, self.estimation, kept.candidates, estimating)
         steps = [self._map_layers] * self.blur_map + [self._mask_layers] * (self.mask is not None)
         share = (1.0 - ESTIMATION_SHARE) / len(steps)
         starts = [ESTIMATION_SHARE + share * n for n in range(len(steps))]
         return [
             layer
             for step, start in zip(steps, starts, strict=True)
-            for layer in step(candidates, image, span, within(progress, start, start + share))
+            for layer in step(candidates, picture, within(progress, start, start + share))
         ]
 
-    def _candidates(
-        self,
-        image: NDArray[Any],
-        span: tuple[float, float] | None,
-        kept: KeptCandidates,
-        progress: Progress,
-    ) -> BlurCandidates:
-        from napari_defocus import estimate_candidates, estimate_shot_noise
-
-        estimation = self.estimation
-        common: dict[str, Any] = {"linearize": estimation.linearize, "intensity_range": span}
-        family = estimation.family()
-        key = (
-            *(fingerprint(image), estimation.noise_variance, estimation.shot_noise, family),
-            *(estimation.window, estimation.stride, estimation.mode, *common.values()),
-        )
-
-        def estimate() -> BlurCandidates:
-            noise: float | ShotNoise | None = estimation.noise_variance
-            if estimation.shot_noise:
-                progress("Measuring the noise", 0.0)
-                noise = estimate_shot_noise(image, **common)
-            return estimate_candidates(
-                image,
-                psf=family,
-                noise_variance=noise,
-                window=estimation.window,
-                stride=estimation.stride,
-                mode=estimation.mode,
-                **common,
-                progress=progress,
-            )
-
-        return kept.get(self.plane.layer, key, estimate)
-
     def _map_layers(
-        self,
-        candidates: BlurCandidates,
-        image: NDArray[Any],
-        span: tuple[float, float] | None,
-        progress: Progress,
+        self, candidates: BlurCandidates, picture: Picture, progress: Progress
     ) -> list[LayerDataTuple]:
-        from napari_defocus import confidence_map, label_blur_map
+        from napari_defocus import confidence_map
 
-        blur_map = _cut(
-            label_blur_map,
-            candidates,
-            image,
-            smoothness=self.estimation.smoothness,
-            color_sigma=self.estimation.color_sigma,
-            intensity_range=span,
-            progress=progress,
-        )
+        blur_map = labelled_map(candidates, picture, self.estimation, progress)
         used = self.estimation, candidates.noise_variance
         layers = [blur_map_layer(self.plane, blur_map, *used, candidates.psf)]
         if self.confidence:
@@ -153,41 +100,24 @@ class Analysis:
         return layers
 
     def _mask_layers(
-        self,
-        candidates: BlurCandidates,
-        image: NDArray[Any],
-        span: tuple[float, float] | None,
-        progress: Progress,
+        self, candidates: BlurCandidates, picture: Picture, progress: Progress
     ) -> list[LayerDataTuple]:
         from napari_defocus import segment_in_focus
 
         assert self.mask is not None
-        mask = _cut(
+        mask = cut(
             segment_in_focus,
             candidates,
-            image,
+            picture,
             threshold=self.mask.threshold,
             smoothness=self.mask.smoothness,
             color_sigma=self.mask.color_sigma,
             seeds=self.seeds.values if self.seeds else None,
-            intensity_range=span,
             progress=progress,
         )
         used = self.mask, self.estimation, candidates.noise_variance
         name = self.seeds.name if self.seeds else None
         return [in_focus_layer(self.plane, mask, *used, name)]
-
-
-def _cut(
-    function: Callable[..., NDArray[Any]],
-    candidates: BlurCandidates,
-    image: NDArray[Any],
-    **keywords: Any,
-) -> NDArray[Any]:
-    """Call a function that cuts graphs: in this thread if the picture is small."""
-    if image.shape[0] * image.shape[1] > LARGE:
-        return run_elsewhere(function, candidates, image, **keywords)
-    return function(candidates, image, **keywords)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,14 +141,14 @@ class Comparison:
         settings = self.estimation
         texts = dict.fromkeys([*COMPARED_PSFS, settings.psf])
         text_of = {psf_of(text, settings.max_radius): text for text in texts}
-        image = self.plane.read()
+        picture = Picture.of(self.plane)
         comparison = compare_psf(
-            image,
+            picture.image,
             list(text_of),
             noise_variance=settings.noise_variance,
             window=settings.window,
             linearize=settings.linearize,
-            intensity_range=self.plane.intensity_range(image),
+            intensity_range=picture.span,
             progress=progress,
         )
         return [(text_of[row.psf], row) for row in comparison]

@@ -11,17 +11,18 @@ from napari.types import LayerDataTuple
 from napari.utils.notifications import show_warning
 
 from napari_defocus.widgets.calibration import Calibration, numbers, planes_of
-from napari_defocus.widgets.layers import (
-    METADATA_KEY,
-    NotAnalysableError,
-    Plane,
-    made_by_us,
-    show_results,
-)
+from napari_defocus.widgets.layers import NotAnalysableError, Plane
+from napari_defocus.widgets.results import METADATA_KEY, made_by_us, show_results
 from napari_defocus.widgets.run_panel import RunPanel, wrap
 from napari_defocus.widgets.workers import Run
 
 POINT_SOURCES = "none: point sources"
+
+
+class SharpBox(ComboBox):
+    """The choice of a sharp picture; None if there is none."""
+
+    null_string = POINT_SOURCES
 
 
 class CalibrateWidget(RunPanel):
@@ -46,10 +47,11 @@ class CalibrateWidget(RunPanel):
             tooltip="The selected image layers, from the bottom of the layer list up, or all "
             "planes of a selected stack: each at another setting of the focus.",
         )
-        self.sharp = ComboBox(
+        self.sharp = SharpBox(
             name="sharp",
             label="sharp picture",
-            choices=self._sharp_choices,
+            choices=self._images,
+            nullable=True,
             tooltip="The same scene in focus, as a picture or as a stack with one for each "
             "setting. Without it, the pictures show point sources, such as distant lamps or "
             "beads, not saturated and not close to each other.",
@@ -80,10 +82,7 @@ class CalibrateWidget(RunPanel):
         self.sharp.changed.connect(lambda _: self._show_selected())
         self._show_selected()
 
-    def _sharp_choices(self, _: Any) -> list[tuple[str, Image | None]]:
-        return [(POINT_SOURCES, None), *((layer.name, layer) for layer in self._images())]
-
-    def _images(self) -> list[Image]:
+    def _images(self, _: Any = None) -> list[Image]:
         return [
             layer
             for layer in self._viewer.layers

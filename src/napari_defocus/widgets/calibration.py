@@ -12,7 +12,8 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.progress import Progress, silent, within
-from napari_defocus.widgets.layers import NotAnalysableError, Plane, kernels_layer, plane_at
+from napari_defocus.widgets.layers import NotAnalysableError, Plane, plane_at
+from napari_defocus.widgets.result_layers import kernels_layer
 
 if TYPE_CHECKING:
     from typing import Any

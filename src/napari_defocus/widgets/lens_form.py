@@ -37,6 +37,7 @@ class LensForm:
 
     def __init__(self, last_measured: Callable[[], str]) -> None:
         self._last_measured = last_measured
+        self._shown = True
         self.lens = ComboBox(
             name="lens",
             label="lens",
@@ -141,8 +142,14 @@ class LensForm:
         needed: list[Widget] = [*self._needed()]
         if self.lens.value == MEASURED:
             needed.append(self.file)
+        self.lens.visible = self._shown
         for field in self.fields()[1:]:
-            field.visible = field in needed
+            field.visible = self._shown and field in needed
+
+    def show(self, shown: bool) -> None:
+        """Show or hide the choice of a lens; only once it is in a form."""
+        self._shown = shown
+        self.show_needed()
 
     def _needed(self) -> list[SpinBox | FloatSpinBox]:
         fields: dict[str, list[SpinBox | FloatSpinBox]] = {

@@ -6,41 +6,34 @@ from typing import Any
 
 from magicgui.widgets import ComboBox, Label, PushButton, Widget
 from napari.components import ViewerModel
-from napari.layers import Image, Labels
+from napari.layers import Labels
 from napari.types import LayerDataTuple
-from napari.utils.notifications import show_info, show_warning
+from napari.utils.notifications import show_warning
 
 from napari_defocus import PSFEvidence
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.analysis import Analysis, Comparison
-from napari_defocus.widgets.kept_candidates import KeptCandidates
-from napari_defocus.widgets.layers import (
+from napari_defocus.widgets.image_panel import ImagePanel
+from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.result_layers import not_trusted_layer
+from napari_defocus.widgets.results import (
+    BLUR_MAP,
     CONFIDENCE,
-    MEASURED_PSF,
     METADATA_KEY,
     NOT_TRUSTED,
-    NotAnalysableError,
-    Plane,
     layer_of_result,
     made_by_us,
-    not_trusted_layer,
     show_results,
-    shown_plane,
 )
-from napari_defocus.widgets.run_panel import RunPanel
 from napari_defocus.widgets.seeds import SEEDS, Seeds, add_seeds_layer, shown_seeds
 from napari_defocus.widgets.settings_form import SettingsForm
 from napari_defocus.widgets.workers import Run
-
-KEPT_CANDIDATES = KeptCandidates()
-"""Shared by all widgets: the mask reuses what the map has found."""
-
 
 LONGEST_NAME = 22
 """In letters, of a lens in the table; a longer one would make the panel wide."""
 
 
-class DefocusPanel(RunPanel):
+class DefocusPanel(ImagePanel):
     """An analysis of one image layer in a worker thread.
 
     Parameters
@@ -56,10 +49,8 @@ class DefocusPanel(RunPanel):
 
     Attributes
     ----------
-    image : magicgui.widgets.ComboBox
-        The image layer to analyse.
     settings : SettingsForm
-        The fields below it.
+        The fields below the image.
     seeds : magicgui.widgets.ComboBox
         The labels layer that the mask keeps to, or none.
     seeds_button : magicgui.widgets.PushButton
@@ -75,12 +66,6 @@ class DefocusPanel(RunPanel):
         self._blur_map = blur_map
         self._mask = mask
         self._best = ""
-        self.image = ComboBox(
-            name="image",
-            label="image",
-            choices=self._images,
-            tooltip="The image layer to analyse. Of a stack, the plane that is shown.",
-        )
         self.settings = SettingsForm(
             blur_map=blur_map, mask=mask, last_measured=self._last_measured
         )
@@ -132,16 +117,7 @@ class DefocusPanel(RunPanel):
         self.best_button.clicked.connect(self.take_best)
         self.image.changed.connect(lambda _: self._forget_comparison())
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
-        active = self._viewer.layers.selection.active
-        if active in self.image.choices:
-            self.image.value = active
-
-    def _images(self, _: Any) -> list[Image]:
-        return [
-            layer
-            for layer in self._viewer.layers
-            if isinstance(layer, Image) and made_by_us(layer) is None
-        ]
+        self._choose_active()
 
     def _seeds_layers(self, _: Any) -> list[Labels]:
         return [
@@ -149,10 +125,6 @@ class DefocusPanel(RunPanel):
             for layer in self._viewer.layers
             if isinstance(layer, Labels) and made_by_us(layer) in (None, SEEDS)
         ]
-
-    def _last_measured(self) -> str:
-        measured = [layer for layer in self._viewer.layers if made_by_us(layer) == MEASURED_PSF]
-        return measured[-1].metadata[METADATA_KEY]["file"] if measured else ""
 
     def analysis(self) -> Analysis:
         """Return what the form asks for now.
@@ -164,7 +136,7 @@ class DefocusPanel(RunPanel):
         ValueError
             If a field holds no valid value, or the seeds do not fit the plane.
         """
-        plane = shown_plane(self.image.value, self._viewer.dims)
+        plane = self._shown_plane()
         return Analysis(
             plane=plane,
             estimation=self.settings.map_settings(),
@@ -200,10 +172,10 @@ class DefocusPanel(RunPanel):
         """
         if self._running is not None:
             return self._running
-        analysis = self._asked_for()
+        analysis = self._asked_for(self.analysis)
         if analysis is None:
             return None
-        work = partial(analysis.run, KEPT_CANDIDATES)
+        work = partial(analysis.run, self.kept)
         return self._start(
             work, self._show_results, [analysis.plane], f"Defocus of {analysis.plane.name}"
         )
@@ -212,7 +184,7 @@ class DefocusPanel(RunPanel):
         """Start a comparison of lenses on the chosen image, and return it, like `run`."""
         if self._running is not None:
             return self._running
-        analysis = self._asked_for()
+        analysis = self._asked_for(self.analysis)
         if analysis is None:
             return None
         plane = analysis.plane
@@ -226,37 +198,23 @@ class DefocusPanel(RunPanel):
         if self._best:
             self.settings.lens.take(self._best)
 
-    def _asked_for(self) -> Analysis | None:
-        """Return what the form asks for; None, with a warning, if it cannot be done."""
-        if self.image.value is None:
-            show_warning("There is no image to analyse. Open an image first.")
-            return None
-        try:
-            return self.analysis()
-        except NotAnalysableError as reason:
-            show_warning(f"Cannot analyse “{self.image.value.name}”: {reason}")
-        except ValueError as reason:
-            show_warning(str(reason))
-        return None
-
     def _show_running(self, running: bool) -> None:
         super()._show_running(running)
         self.compare_button.enabled = not running
 
     def _show_results(self, results: list[LayerDataTuple]) -> None:
-        [plane] = self._planes
-        if plane.is_current(self._viewer.layers):
+        if self._still_current():
             self._show_below_brush(results)
             self._on_min_confidence(self.settings.min_confidence.value)
             self.status.value = _summary(results)
-        elif plane.layer() in self._viewer.layers:
-            show_info(f"“{plane.name}” was changed while it was analysed. Run again.")
 
     def _show_below_brush(self, results: list[LayerDataTuple]) -> None:
         """Show results; whoever paints seeds goes on painting on their layer."""
         selection = self._viewer.layers.selection
         painted = selection.active
-        show_results(self._viewer, results)
+        for layer in show_results(self._viewer, results):
+            # Other widgets hide the map that they make on the way.
+            layer.visible |= made_by_us(layer) == BLUR_MAP
         if painted is not None and painted == self.seeds.value:
             selection.active = painted
 

@@ -13,15 +13,9 @@ from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.seeds import BLURRED, IN_FOCUS, checked_seeds
-from napari_defocus.widgets.layers import (
-    MASK_COLOR,
-    METADATA_KEY,
-    Plane,
-    finest,
-    fixed_colors,
-    placement,
-    shown_index,
-)
+from napari_defocus.widgets.layers import Plane, finest, placement, shown_index
+from napari_defocus.widgets.result_layers import MASK_COLOR, fixed_colors
+from napari_defocus.widgets.results import METADATA_KEY
 
 SEEDS = "seeds"
 BLURRED_COLOR = (1.0, 0.3, 0.1, 1.0)

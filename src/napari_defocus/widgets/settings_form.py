@@ -1,10 +1,11 @@
 """The settings as a form: every default is read from the settings classes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from magicgui.widgets import CheckBox, FloatSpinBox, LineEdit, PushButton, Widget
 
 from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.estimation import LARGEST_RADIUS
 from napari_defocus.widgets.lens_form import LensForm
 
 AUTOMATIC = "automatic"
@@ -66,6 +67,7 @@ class SettingsForm:
         self.mask_color_sigma = _color_sigma_field("mask", "answer", MaskSettings.color_sigma)
         self.more = PushButton(name="more", text=_MORE.format("▸"))
         self._more_shown = False
+        self._unneeded: list[Widget] = []
         self._usual_threshold = MaskSettings.threshold
         self.lens.lens.changed.connect(lambda _: self._follow_lens())
         self.more.changed.connect(lambda _: self.show_more(not self._more_shown))
@@ -99,7 +101,27 @@ class SettingsForm:
         self._more_shown = shown
         self.more.text = _MORE.format("▾" if shown else "▸")
         for field in self.more_fields():
-            field.visible = shown
+            field.visible = shown and field not in self._unneeded
+
+    def show_needed(self, *, estimating: bool, lens: bool, more: Sequence[Widget] = ()) -> None:
+        """Hide what only an estimation needs, if there is none; only once it is in a form.
+
+        Parameters
+        ----------
+        estimating : bool
+            Whether a map is estimated.
+        lens : bool
+            Whether the lens has to be chosen.
+        more : sequence of widgets, optional
+            Those of `more_fields` that are needed even if no map is estimated.
+        """
+        fields = self.more_fields()
+        self._unneeded = [field for field in fields if not (estimating or field in more)]
+        self.max_radius.visible = estimating
+        self.lens.show(lens)
+        self.more.visible = len(self._unneeded) < len(fields)
+        self.show_more(self._more_shown)
+        _enable(self.noise_variance, not (estimating and self.shot_noise.value))
 
     def _follow_lens(self) -> None:
         """Keep the threshold at its default, if it was, where the lens has another scale."""
@@ -115,16 +137,25 @@ class SettingsForm:
         ValueError
             If the noise variance is no number, or the lens' file is missing.
         """
-        given = "" if self.shot_noise.value else self.noise_variance.value
         return MapSettings(
             psf=self.lens.text(),
             max_radius=self.max_radius.value,
-            noise_variance=_number_or_none(given),
+            noise_variance=None if self.shot_noise.value else self.given_noise_variance(),
             shot_noise=self.shot_noise.value,
             linearize="srgb" if self.linear_light.value else None,
             smoothness=self.map_smoothness.value,
             color_sigma=self.map_color_sigma.value,
         )
+
+    def given_noise_variance(self) -> float | None:
+        """Return the noise variance that was typed, None if it is to be found.
+
+        Raises
+        ------
+        ValueError
+            If it is no number.
+        """
+        return number_or_none(self.noise_variance.value, "noise variance", "1e-5")
 
     def mask_settings(self) -> MaskSettings | None:
         """Return what the fields say about the mask, None if none is made."""
@@ -143,7 +174,7 @@ def _max_radius_field() -> FloatSpinBox:
         label="largest radius (px)",
         value=MapSettings.max_radius,
         min=1.0,
-        max=20.0,
+        max=LARGEST_RADIUS,
         step=0.5,
         tooltip="The widest blur that is looked for, as the radius of the disc that a point "
         "becomes, in pixels of this picture. It is also the upper end of the map's colours. "
@@ -153,14 +184,20 @@ def _max_radius_field() -> FloatSpinBox:
 
 
 def _noise_variance_field() -> LineEdit:
-    field = LineEdit(
-        name="noise_variance",
-        label="noise variance",
-        value="" if MapSettings.noise_variance is None else f"{MapSettings.noise_variance:g}",
-        tooltip="Variance of the picture's noise, for intensities from 0 to 1, such as 1e-5. "
+    return automatic_field(
+        "noise_variance",
+        "noise variance",
+        MapSettings.noise_variance,
+        "Variance of the picture's noise, for intensities from 0 to 1, such as 1e-5. "
         "Leave it empty to have it found from the picture. If flat regions look sharp, "
         "raise it; if textured regions look blurred, lower it.",
     )
+
+
+def automatic_field(name: str, label: str, value: float | None, tooltip: str) -> LineEdit:
+    """Return a field for a number that is found if none is given, see `number_or_none`."""
+    text = "" if value is None else f"{value:g}"
+    field = LineEdit(name=name, label=label, value=text, tooltip=tooltip)
     field.native.setPlaceholderText(AUTOMATIC)
     return field
 
@@ -246,7 +283,14 @@ def _color_sigma_field(of: str, what: str, value: float) -> FloatSpinBox:
     )
 
 
-def _number_or_none(text: str) -> float | None:
+def number_or_none(text: str, name: str, example: str) -> float | None:
+    """Return the number of a field that may be empty.
+
+    Raises
+    ------
+    ValueError
+        If it is no number.
+    """
     text = text.strip()
     if text in ("", AUTOMATIC):
         return None
@@ -254,7 +298,7 @@ def _number_or_none(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise ValueError(
-            f"The noise variance is “{text}”. Type a number such as 1e-5, "
+            f"The {name} is “{text}”. Type a number such as {example}, "
             f"or leave it empty to have it found from the picture."
         ) from None
 

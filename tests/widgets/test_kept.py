@@ -4,7 +4,7 @@ import weakref
 import numpy as np
 from napari.layers import Image
 
-from napari_defocus.widgets.kept_candidates import KeptCandidates, fingerprint
+from napari_defocus.widgets.kept import Kept, fingerprint
 
 
 class Estimate:
@@ -20,22 +20,22 @@ def an_image():
     return Image(np.zeros((8, 8)))
 
 
-def test_same_layer_and_key_are_estimated_once():
-    kept, estimate, layer = KeptCandidates(), Estimate(), an_image()
+def test_same_layer_and_key_are_worked_on_once():
+    kept, estimate, layer = Kept(), Estimate(), an_image()
     assert kept.get(weakref.ref(layer), "a", estimate) == "candidates 1"
     assert kept.get(weakref.ref(layer), "a", estimate) == "candidates 1"
     assert kept.get(weakref.ref(layer), "b", estimate) == "candidates 2"
     assert len(kept) == 1
 
 
-def test_no_layer_gets_the_candidates_of_another():
-    kept, estimate, layers = KeptCandidates(), Estimate(), [an_image(), an_image()]
+def test_no_layer_gets_what_was_found_of_another():
+    kept, estimate, layers = Kept(), Estimate(), [an_image(), an_image()]
     found = [kept.get(weakref.ref(layer), "a", estimate) for layer in layers]
     assert found == ["candidates 1", "candidates 2"]
 
 
 def test_only_the_last_few_layers_are_kept():
-    kept, estimate, layers = KeptCandidates(layers=2), Estimate(), [an_image() for _ in range(3)]
+    kept, estimate, layers = Kept(layers=2), Estimate(), [an_image() for _ in range(3)]
     for layer in (layers[0], layers[1], layers[0], layers[2]):
         kept.get(weakref.ref(layer), "a", estimate)
     assert (len(kept), estimate.calls) == (2, 3)
@@ -43,16 +43,16 @@ def test_only_the_last_few_layers_are_kept():
     assert estimate.calls == 3
 
 
-def test_deleted_layer_takes_its_candidates_with_it():
-    kept, layer = KeptCandidates(), an_image()
+def test_deleted_layer_takes_what_was_found_with_it():
+    kept, layer = Kept(), an_image()
     kept.get(weakref.ref(layer), "a", Estimate())
     del layer
     gc.collect()
     assert len(kept) == 0
 
 
-def test_layer_that_is_gone_is_estimated_but_not_kept():
-    kept, layer = KeptCandidates(), an_image()
+def test_layer_that_is_gone_is_worked_on_but_not_kept():
+    kept, layer = Kept(), an_image()
     gone = weakref.ref(layer)
     del layer
     gc.collect()

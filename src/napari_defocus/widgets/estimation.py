@@ -1,0 +1,159 @@
+"""Candidates and blur map of a plane, kept between runs: no Qt, any thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.other_process import run_elsewhere
+from napari_defocus.progress import Progress, within
+from napari_defocus.settings import MapSettings
+from napari_defocus.widgets.kept import Kept, KeptWork, fingerprint
+from napari_defocus.widgets.layers import Plane
+
+if TYPE_CHECKING:
+    from napari_defocus import BlurCandidates, PSFFamily, ShotNoise
+
+Float32 = NDArray[np.float32]
+
+ESTIMATION_SHARE = 0.6
+"""Of the time of a map or a mask; the rest is labelling."""
+
+LARGE = 1_000_000
+"""In px: larger pictures are labelled in another process, as cuts would stop the window."""
+
+LARGEST_RADIUS = 20.0
+"""In px: forms let look up to it, and pictures are restored up to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A plane that was read.
+
+    Attributes
+    ----------
+    plane : Plane
+    image : (H, W) or (H, W, 3) or (H, W, 4) ndarray
+    span : (float, float) or None
+        The intensities that stand for 0 and 1, see `Plane.intensity_range`.
+    """
+
+    plane: Plane
+    image: NDArray[Any]
+    span: tuple[float, float] | None
+
+    @classmethod
+    def of(cls, plane: Plane) -> Self:
+        """Read a plane, see `Plane.read`."""
+        image = plane.read()
+        return cls(plane, image, plane.intensity_range(image))
+
+    @cached_property
+    def key(self) -> tuple[Any, ...]:
+        """What tells it from other pictures."""
+        return fingerprint(self.image), self.span
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatedMap:
+    """A blur map with its confidence.
+
+    Attributes
+    ----------
+    values : (H, W) float32 ndarray
+        Scale in px.
+    confidence : (H, W) float32 ndarray
+        In [0, 1].
+    noise_variance : float
+        The variance that was used, found or given.
+    psf : PSFFamily
+    """
+
+    values: Float32
+    confidence: Float32
+    noise_variance: float
+    psf: PSFFamily
+
+
+def estimated_candidates(
+    picture: Picture, settings: MapSettings, kept: Kept[BlurCandidates], progress: Progress
+) -> BlurCandidates:
+    """Return the candidates of a picture: those of an earlier run, if nothing has changed."""
+    from napari_defocus import estimate_candidates, estimate_shot_noise
+
+    common: dict[str, Any] = {"linearize": settings.linearize, "intensity_range": picture.span}
+    family = settings.family()
+    key = (
+        *(*picture.key, settings.noise_variance, settings.shot_noise, family),
+        *(settings.window, settings.stride, settings.mode, settings.linearize),
+    )
+
+    def estimate() -> BlurCandidates:
+        noise: float | ShotNoise | None = settings.noise_variance
+        if settings.shot_noise:
+            progress("Measuring the noise", 0.0)
+            noise = estimate_shot_noise(picture.image, **common)
+        return estimate_candidates(
+            picture.image,
+            psf=family,
+            noise_variance=noise,
+            window=settings.window,
+            stride=settings.stride,
+            mode=settings.mode,
+            **common,
+            progress=progress,
+        )
+
+    return kept.get(picture.plane.layer, key, estimate)
+
+
+def labelled_map(
+    candidates: BlurCandidates, picture: Picture, settings: MapSettings, progress: Progress
+) -> Float32:
+    """Return the blur map of candidates."""
+    from napari_defocus import label_blur_map
+
+    return cut(
+        label_blur_map,
+        candidates,
+        picture,
+        smoothness=settings.smoothness,
+        color_sigma=settings.color_sigma,
+        progress=progress,
+    )
+
+
+def estimated_map(
+    picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
+) -> EstimatedMap:
+    """Return the blur map of a picture: that of an earlier run, if nothing has changed."""
+    from napari_defocus import confidence_map
+
+    def estimate() -> EstimatedMap:
+        estimating = within(progress, 0.0, ESTIMATION_SHARE)
+        candidates = estimated_candidates(picture, settings, kept.candidates, estimating)
+        labelling = within(progress, ESTIMATION_SHARE, 1.0)
+        values = labelled_map(candidates, picture, settings, labelling)
+        progress("Measuring the confidence", 1.0)
+        confidence = confidence_map(candidates, values)
+        return EstimatedMap(values, confidence, candidates.noise_variance, candidates.psf)
+
+    return kept.maps.get(picture.plane.layer, (*picture.key, settings, settings.family()), estimate)
+
+
+def cut(
+    function: Callable[..., NDArray[Any]],
+    candidates: BlurCandidates,
+    picture: Picture,
+    **keywords: Any,
+) -> NDArray[Any]:
+    """Call a function that cuts graphs: in this thread if the picture is small."""
+    keywords["intensity_range"] = picture.span
+    if np.prod(picture.image.shape[:2]) > LARGE:
+        return run_elsewhere(function, candidates, picture.image, **keywords)
+    return function(candidates, picture.image, **keywords)

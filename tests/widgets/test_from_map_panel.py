@@ -1,0 +1,462 @@
+"""The widgets that make something of a picture and its blur map."""
+
+import time
+
+import numpy as np
+import PIL.Image
+import pytest
+from napari.utils.interactions import mouse_press_callbacks, mouse_release_callbacks
+
+import napari_defocus
+from napari_defocus.widgets.all_in_focus import AllInFocusWidget
+from napari_defocus.widgets.blur_map import BlurMapWidget
+from napari_defocus.widgets.change_focus import PICK, PICKING, ChangeFocusWidget
+from napari_defocus.widgets.depth import DepthWidget
+from napari_defocus.widgets.picker import value_at
+
+pytestmark = pytest.mark.display
+
+ALL = [AllInFocusWidget, ChangeFocusWidget, DepthWidget]
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def ready(widget):
+    """Fill in what has no default."""
+    if isinstance(widget, DepthWidget):
+        lens = widget.thin_lens
+        lens.focal_length.value, lens.f_number.value = "50", "2"
+        lens.focus_distance.value, lens.pixel_pitch.value = "2", "50"
+    return widget
+
+
+def choose_map(widget, layer):
+    widget.reset_choices()
+    widget.blur_map.value = layer
+
+
+def shown(fields):
+    return [field for field in fields if not field.native.isHidden()]
+
+
+@pytest.mark.parametrize(
+    ("widget_class", "made"),
+    [
+        (AllInFocusWidget, "leaf all in focus"),
+        (ChangeFocusWidget, "leaf refocused"),
+        (DepthWidget, "leaf depth (m)"),
+    ],
+)
+def test_widget_makes_its_layer_and_those_of_the_map(
+    window, docked, finish, method, texture, widget_class, made
+):
+    window.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
+    widget = ready(docked(widget_class))
+    for _ in range(2):
+        finish(widget)
+        assert names(window) == ["leaf", "leaf blur (px)", "leaf confidence", made]
+    assert len(method.estimations) == len(method.labelings) == 1
+    for layer in list(window.layers)[1:]:
+        assert tuple(layer.scale) == (2, 3)
+        assert [str(unit) for unit in layer.units] == ["micrometer", "micrometer"]
+        assert layer.axis_labels == ("y", "x")
+    assert [layer.visible for layer in window.layers] == [True, False, False, True]
+    assert [choice and choice.name for choice in widget.blur_map.choices] == [
+        None,
+        "leaf blur (px)",
+    ]
+    assert [layer.name for layer in widget.image.choices] == ["leaf"]
+
+
+def test_map_that_was_made_on_the_way_is_shown_once_it_is_asked_for(
+    viewer, opened, finish, method, texture
+):
+    viewer.add_image(texture, name="leaf")
+    finish(opened(AllInFocusWidget))
+    finish(opened(BlurMapWidget))
+    assert viewer.layers["leaf blur (px)"].visible
+    assert not viewer.layers["leaf confidence"].visible
+    assert len(method.estimations) == 1
+
+
+@pytest.mark.parametrize("widget_class", ALL)
+def test_every_field_explains_itself(opened, widget_class):
+    widget = opened(widget_class)
+    fields = [
+        field
+        for field in widget
+        if field.native.isEnabled()
+        and field.name not in ("", "side_note", "progress", "status", "more")
+    ]
+    assert len(fields) > 10
+    for field in fields:
+        assert len(field.tooltip) > 40, field.name
+
+
+@pytest.mark.parametrize(
+    ("widget_class", "always"), [(AllInFocusWidget, 2), (ChangeFocusWidget, 1), (DepthWidget, 0)]
+)
+def test_only_what_the_chosen_map_leaves_open_is_asked_for(
+    viewer, opened, finish, method, texture, widget_class, always
+):
+    viewer.add_image(texture, name="leaf")
+    finish(opened(BlurMapWidget))
+    theirs = viewer.add_image(np.ones(texture.shape), name="theirs")
+    widget = opened(widget_class)
+    widget.image.value = viewer.layers["leaf"]
+    settings = widget.settings
+    settings.more.native.click()
+    more = len(settings.more_fields())
+    for layer, lens, largest, count in (
+        (None, True, True, more),
+        (theirs, True, False, always),
+        (viewer.layers["leaf blur (px)"], False, False, always),
+        (None, True, True, more),
+    ):
+        widget.blur_map.value = layer
+        assert bool(shown([settings.lens.lens])) == lens
+        assert bool(shown([settings.max_radius])) == largest
+        assert len(shown(settings.more_fields())) == count
+        assert bool(shown([settings.more])) == (count > 0)
+
+
+def test_fields_reach_the_method(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(ChangeFocusWidget)
+    widget.settings.lens.take("polygon:5")
+    widget.settings.noise_variance.value = "1e-4"
+    widget.restoration.tv_weight.value = "2e-3"
+    widget.restoration.protect.value = False
+    widget.focus.value, widget.aperture.value = 1.5, 2.5
+    widget.side.value = "near"
+    finish(widget)
+    [restored], [seen] = method.restorations, method.refocusings
+    assert restored["psf"] == seen["psf"] == napari_defocus.Polygon(5)
+    assert restored["noise_variance"] == method.estimations[0]["noise_variance"] == 1e-4
+    assert restored["tv_weight"] == 2e-3
+    assert restored["confidence"] is None
+    assert restored["linearize"] == seen["linearize"] == "srgb"
+    assert method.estimations[0]["linearize"] is None
+    assert (seen["focus"], seen["aperture"], seen["side"]) == (1.5, 2.5, "near")
+
+
+def test_noise_that_grows_leaves_the_noise_to_be_found(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(AllInFocusWidget)
+    widget.settings.noise_variance.value = "nonsense that has no say"
+    widget.settings.shot_noise.value = True
+    finish(widget)
+    assert len(method.noises) == len(method.restorations) == 1
+
+
+@pytest.mark.parametrize("widget_class", ALL)
+def test_map_of_a_layer_is_used(viewer, opened, finish, method, texture, widget_class):
+    viewer.add_image(texture, name="leaf")
+    theirs = viewer.add_image(np.full(texture.shape, 3.0), name="theirs")
+    widget = ready(opened(widget_class))
+    widget.image.value = viewer.layers["leaf"]
+    choose_map(widget, theirs)
+    finish(widget)
+    assert not method.estimations
+    assert len(viewer.layers) == 3
+
+
+def test_chosen_map_that_is_removed_is_estimated_again(window, docked, texture):
+    window.add_image(texture, name="leaf")
+    theirs = window.add_image(np.ones(texture.shape), name="theirs")
+    widget = docked(DepthWidget)
+    widget.image.value = window.layers["leaf"]
+    widget.blur_map.value = theirs
+    window.layers.remove("theirs")
+    assert widget.blur_map.value is None
+    assert shown([widget.settings.max_radius])
+
+
+def test_sliders_only_blur_again_once_there_is_a_result(
+    viewer, opened, finish, qtbot, method, texture
+):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(ChangeFocusWidget)
+    widget.focus.value = 1.0
+    assert widget._running is None, "nothing is restored without being asked for"
+    finish(widget)
+    widget.focus.value = 4.0
+    qtbot.waitUntil(lambda: widget._running is None)
+    assert viewer.layers["leaf refocused"].data.max() == np.float32(0.4)
+    widget.side.value = "near"
+    widget.aperture.value = 2.0
+    qtbot.waitUntil(lambda: widget._running is None)
+    assert method.refocusings[-1]["side"] == "near"
+    assert method.refocusings[-1]["aperture"] == 2.0, "what was set while it ran counts, too"
+    assert len(method.restorations) == 1
+    widget.restoration.tv_weight.value = "1e-3"
+    widget.focus.value = 2.0
+    assert widget._running is None, "it would have to be restored again"
+    widget.restoration.tv_weight.value = ""
+    widget.follow.value = False
+    widget.focus.value = 3.0
+    assert widget._running is None
+    assert len(method.restorations) == 1
+
+
+def test_slider_and_number_are_one(opened):
+    focus = opened(ChangeFocusWidget).focus
+    focus.value = 3.25
+    assert focus._slider.value == pytest.approx(3.25)
+    focus._slider.value = 1.5
+    assert focus.value == 1.5
+    focus.largest = 1.0
+    assert focus.largest == focus.value == 1.5
+
+
+def test_focus_reaches_as_far_as_the_blur(viewer, opened, texture):
+    viewer.add_image(texture, name="leaf")
+    theirs = viewer.add_image(np.full(texture.shape, 12.0), contrast_limits=(0, 12))
+    widget = opened(ChangeFocusWidget)
+    widget.image.value = viewer.layers["leaf"]
+    assert widget.focus.largest == 8
+    widget.settings.max_radius.value = 10
+    assert widget.focus.largest == 10
+    choose_map(widget, theirs)
+    assert widget.focus.largest == 12
+
+
+class Press:
+    type = "mouse_press"
+    handled = False
+    button = 1
+    modifiers = ()
+
+    def __init__(self, position):
+        self.position = position
+
+
+def click(viewer, position):
+    mouse_press_callbacks(viewer, Press(position))
+    mouse_release_callbacks(viewer, Press(position))
+
+
+def test_focus_is_picked_with_one_click_and_with_no_other(viewer, opened, qtbot, texture):
+    viewer.add_image(texture, name="leaf", scale=(2, 2))
+    radii = np.tile(np.linspace(0, 6, texture.shape[1]), (len(texture), 1))
+    theirs = viewer.add_image(radii, scale=(2, 2), contrast_limits=(0, 6))
+    seeds = viewer.add_labels(np.zeros(texture.shape, int))
+    seeds.mode = "paint"
+    widget = opened(ChangeFocusWidget)
+    widget.image.value = viewer.layers["leaf"]
+    choose_map(widget, theirs)
+    before = list(viewer.mouse_drag_callbacks)
+    click(viewer, (100, 100))
+    assert widget.focus.value == 0, "no click was waited for"
+    widget.pick.native.click()
+    assert widget.pick.text == PICKING
+    assert seeds.mode == "pan_zoom", "a click paints nothing"
+    click(viewer, (-50, 100))
+    assert "No blur is known there" in widget.status.value
+    click(viewer, (100, 100))
+    assert widget.focus.value == pytest.approx(radii[50, 50], abs=0.01)
+    assert widget.pick.text == PICK
+    assert list(viewer.mouse_drag_callbacks) == before
+    assert seeds.mode == "paint"
+    click(viewer, (100, 200))
+    assert widget.focus.value == pytest.approx(radii[50, 50], abs=0.01)
+
+
+def test_waiting_for_a_click_ends_with_another_press_and_with_the_widget(
+    window, docked, qtbot, texture
+):
+    window.add_image(texture, name="leaf")
+    window.add_image(np.ones(texture.shape), name="theirs", contrast_limits=(0, 2))
+    widget = docked(ChangeFocusWidget)
+    widget.image.value = window.layers["leaf"]
+    widget.blur_map.value = window.layers["theirs"]
+    before = list(window.mouse_drag_callbacks)
+    for waiting in (True, False, True):
+        widget.pick.native.click()
+        assert (list(window.mouse_drag_callbacks) != before) == waiting
+    click(window, (5, 5))
+    assert widget.focus.value == 1
+    widget.pick.native.click()
+    window.window.remove_dock_widget("all")
+    widget.native.deleteLater()
+    qtbot.waitUntil(lambda: list(window.mouse_drag_callbacks) == before)
+
+
+def test_focus_is_picked_from_the_map_that_was_estimated(
+    viewer, opened, finish, qtbot, method, texture, messages
+):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(ChangeFocusWidget)
+    widget.pick_focus()
+    assert "no blur map to read the focus from" in messages()[0]
+    assert widget.pick.text == PICK
+    finish(widget)
+    viewer.dims.ndisplay = 3
+    widget.pick_focus()
+    assert "Switch the viewer to 2-D" in messages()[1]
+    viewer.dims.ndisplay = 2
+    widget.pick_focus()
+    click(viewer, (5, 5))
+    assert widget.focus.value == method.radius
+    qtbot.waitUntil(lambda: widget._running is None)
+    assert method.refocusings[-1]["focus"] == method.radius
+
+
+def test_value_of_a_layer_is_read_where_it_lies(viewer):
+    stack = np.arange(24.0).reshape(2, 3, 4)
+    stack[0, 0, 0] = np.nan
+    layer = viewer.add_image(stack, scale=(5, 1, 1), translate=(0, 10, 0), contrast_limits=(0, 9))
+    assert value_at(layer, (5, 12.4, 2.6)) == stack[1, 2, 3]
+    assert value_at(layer, (0, 10, 0)) is None
+    assert value_at(layer, (0, 9, 0)) is None
+    assert value_at(layer, (12, 10, 0)) is None
+
+
+def test_surface_comes_if_it_is_wanted(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = ready(opened(DepthWidget))
+    widget.surface.value = True
+    widget.min_confidence.value = 0.2
+    finish(widget)
+    assert names(viewer)[-2:] == ["leaf depth (m)", "leaf depth surface"]
+    assert viewer.dims.ndisplay == 2
+    assert "Not known on 20%" in widget.status.value
+
+
+def test_file_of_the_image_is_offered_and_read(window, docked, finish, tmp_path, texture, messages):
+    exif = PIL.Image.Exif()
+    exif.get_ifd(0x8769).update({0x829D: 2.8, 0x920A: 35.0, 0xA405: 52})
+    file = tmp_path / "photograph.jpg"
+    PIL.Image.fromarray((255 * texture).astype(np.uint8)).save(file, exif=exif)
+    window.open(file, plugin="napari")
+    widget = docked(DepthWidget)
+    assert widget.thin_lens.file.value == file
+    assert widget.thin_lens.focal_length.value == "", "nothing is read before it is asked for"
+    widget.thin_lens.read_button.native.click()
+    assert widget.thin_lens.focal_length.value == "35"
+    assert "Not noted: focus distance" in widget.status.value
+    window.add_image(texture, name="leaf")
+    widget.image.value = window.layers["leaf"]
+    assert widget.thin_lens.file.value is None
+    widget.thin_lens.read_button.native.click()
+    assert "Choose the photograph's file first" in messages()[0]
+    widget.thin_lens.file.value = tmp_path / "chosen.jpg"
+    widget.image.value = window.layers["photograph"]
+    assert widget.thin_lens.file.value == tmp_path / "chosen.jpg", "it was chosen by hand"
+
+
+@pytest.mark.parametrize("widget_class", [ChangeFocusWidget, DepthWidget])
+def test_widget_says_what_one_picture_cannot_tell(opened, widget_class):
+    widget = opened(widget_class)
+    assert "One picture cannot tell on which side" in widget.side_note.value
+    assert widget.side.value == "far"
+
+
+@pytest.mark.parametrize("widget_class", ALL)
+def test_no_image_is_said_in_plain_words(opened, messages, widget_class):
+    assert opened(widget_class).run() is None
+    assert messages() == ["There is no image to analyse. Open an image first."]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda w: setattr(w.settings.noise_variance, "value", "low"), "Type a number such as"),
+        (lambda w: setattr(w.settings.lens.lens, "value", "measured"), "Choose the file of the"),
+        (
+            lambda w: setattr(w.restoration.tv_weight, "value", "much"),
+            "The smoothing is “much”. Type a number such as 1e-3, or leave it empty",
+        ),
+        (
+            lambda w: setattr(w.restoration.tv_weight, "value", "0"),
+            "The smoothing is 0. Type a number above 0",
+        ),
+    ],
+)
+def test_fields_that_cannot_be_are_said_before_any_work(
+    viewer, opened, method, texture, messages, change, said
+):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(AllInFocusWidget)
+    change(widget)
+    assert widget.run() is None
+    assert said in messages()[0]
+    assert not method.estimations
+
+
+def test_lens_without_numbers_is_said_before_any_work(viewer, opened, method, texture, messages):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(DepthWidget)
+    assert widget.run() is None
+    ready(widget).thin_lens.focus_distance.value = "inf"
+    assert widget.run() is None
+    first, second = messages()
+    assert "Fill in the focal length" in first
+    assert "Nothing lies behind a focus at infinity" in second
+    assert not method.estimations
+
+
+def test_picture_that_is_no_map_is_said_in_plain_words(
+    viewer, opened, finish, method, texture, messages
+):
+    viewer.add_image(texture, name="leaf")
+    theirs = viewer.add_image(100 * texture, name="theirs")
+    widget = opened(AllInFocusWidget)
+    widget.image.value = viewer.layers["leaf"]
+    choose_map(widget, theirs)
+    finish(widget)
+    assert messages()[0].startswith("Cannot analyse “leaf”: its blur map “theirs” goes up to")
+    assert names(viewer) == ["leaf", "theirs"]
+
+
+@pytest.mark.parametrize("widget_class", ALL)
+def test_cancel_acts_within_a_second_and_leaves_no_layer(
+    viewer, opened, qtbot, endless_method, texture, messages, widget_class
+):
+    viewer.add_image(texture, name="leaf")
+    widget = ready(opened(widget_class))
+    run = widget.run()
+    qtbot.waitUntil(lambda: widget.status.value == "Estimating blur")
+    assert widget.run() is run
+    with qtbot.waitSignal(run.finished, timeout=1000):
+        widget.cancel_button.native.click()
+    assert names(viewer) == ["leaf"]
+    assert messages() == []
+
+
+@pytest.mark.parametrize("widget_class", ALL)
+def test_removed_layer_ends_its_run_without_a_word(
+    viewer, opened, qtbot, endless_method, texture, messages, widget_class
+):
+    viewer.add_image(texture, name="leaf")
+    widget = ready(opened(widget_class))
+    run = widget.run()
+    qtbot.waitUntil(lambda: bool(endless_method.estimations))
+    with qtbot.waitSignal(run.finished, timeout=1000):
+        viewer.layers.remove("leaf")
+    assert names(viewer) == []
+    assert messages() == []
+
+
+def test_picture_replaced_while_it_runs_gets_no_result(
+    viewer, opened, qtbot, method, texture, messages, monkeypatch
+):
+    layer = viewer.add_image(texture, name="leaf")
+    go_on = []
+
+    def restore_all_in_focus(image, blur_map, *, progress, **arguments):
+        while not go_on:
+            progress("Taking the blur away", 0.2)
+            time.sleep(0.01)
+        return image
+
+    monkeypatch.setitem(vars(napari_defocus), "restore_all_in_focus", restore_all_in_focus)
+    widget = opened(AllInFocusWidget)
+    run = widget.run()
+    layer.data = texture[:50].copy()
+    with qtbot.waitSignal(run.finished):
+        go_on.append(True)
+    assert names(viewer) == ["leaf"]
+    assert "changed while" in messages()[0]

@@ -1,0 +1,233 @@
+import dask.array as da
+import numpy as np
+import pytest
+
+from napari_defocus import Disc
+from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
+from napari_defocus.widgets.analysis import Analysis
+from napari_defocus.widgets.kept import KeptWork
+from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.map_source import EstimatedSource, source_of_layer
+from napari_defocus.widgets.restored import Refocusing, Restoration
+from napari_defocus.widgets.results import METADATA_KEY, show_results
+
+PLACED = {
+    "scale": (0.5, 0.25),
+    "translate": (3.0, -4.0),
+    "rotate": 20.0,
+    "units": ("um", "um"),
+    "axis_labels": ("y", "x"),
+}
+
+
+@pytest.fixture
+def leaf(viewer, texture):
+    return viewer.add_image(texture, name="leaf", **PLACED)
+
+
+def restoration(viewer, layer, *, map_layer=None, linearize=None, protect=True, **settings):
+    plane = shown_plane(layer, viewer.dims)
+    return Restoration(
+        plane=plane,
+        source=EstimatedSource(settings=MapSettings())
+        if map_layer is None
+        else source_of_layer(map_layer, plane, viewer, "disc"),
+        settings=RestorationSettings(**settings),
+        linearize=linearize,
+        protect=protect,
+    )
+
+
+def refocusing(viewer, layer, view, **options):
+    return Refocusing(restoration=restoration(viewer, layer, **options), view=view)
+
+
+def test_picture_all_in_focus_lies_on_the_picture_above_its_map(viewer, leaf, method):
+    results = restoration(viewer, leaf).run(KeptWork())
+    *_, sharp = show_results(viewer, results.layers)
+    names = [layer.name for layer in viewer.layers]
+    assert names == ["leaf", "leaf blur (px)", "leaf confidence", "leaf all in focus"]
+    assert sharp.data.dtype == np.float32
+    assert (sharp.data == 0.25).all()
+    assert tuple(sharp.contrast_limits) == (0.0, 1.0)
+    assert not sharp.colorbar.visible
+    for corner in np.ndindex(2, 2):
+        np.testing.assert_allclose(sharp.data_to_world(corner), leaf.data_to_world(corner))
+    assert sharp.units == leaf.units
+    assert sharp.axis_labels == ("y", "x")
+    made = sharp.metadata[METADATA_KEY]
+    assert (made["result"], made["source"]) == ("all in focus", "leaf")
+    assert made["blur_map"] == "leaf blur (px)"
+    assert made["settings"]["map"]["psf"] == "disc"
+    assert made["settings"]["restoration"]["tv_weight"] is None
+    assert made["noise_variance"] > 0
+    assert "(found)" in results.summary
+
+
+def test_what_the_blur_map_widget_has_estimated_is_used(viewer, leaf, method):
+    kept = KeptWork()
+    Analysis(plane=shown_plane(leaf, viewer.dims), estimation=MapSettings()).run(kept)
+    restoration(viewer, leaf).run(kept)
+    assert len(method.estimations) == 1
+
+
+def test_settings_reach_the_method(viewer, leaf, method):
+    kept = KeptWork()
+    restoration(viewer, leaf, linearize="srgb", noise_variance=1e-4, tv_weight=2e-3).run(kept)
+    [call] = method.restorations
+    assert call["psf"] == Disc()
+    assert call["linearize"] == "srgb"
+    assert call["noise_variance"] == 1e-4
+    assert call["tv_weight"] == 2e-3
+    assert call["confidence"].max() == 1
+    assert (call["blur_map"] == method.radius).all()
+
+
+@pytest.mark.parametrize("protect", [True, False])
+def test_confidence_protects_if_it_is_wanted(viewer, leaf, method, protect):
+    results = restoration(viewer, leaf, protect=protect).run(KeptWork())
+    assert (method.restorations[0]["confidence"] is not None) == protect
+    assert len(results.layers) == 3
+
+
+def test_map_of_a_layer_is_taken_as_it_is_now(viewer, leaf, method):
+    theirs = viewer.add_image(np.full(leaf.data.shape, 3.0), name="theirs")
+    kept = KeptWork()
+    wanted = restoration(viewer, leaf, map_layer=theirs)
+    results = wanted.run(kept)
+    assert not method.estimations
+    assert (method.restorations[0]["blur_map"] == 3.0).all()
+    assert method.restorations[0]["confidence"] is None
+    assert [keywords["name"] for _, keywords, _ in results.layers] == ["leaf all in focus"]
+    assert "Nothing is protected" in results.summary
+    theirs.data[5, 5] = 1.0
+    wanted.run(kept)
+    assert method.restorations[1]["blur_map"][5, 5] == 1.0
+
+
+def test_another_view_of_the_same_picture_only_blurs_it_again(viewer, leaf, method):
+    kept = KeptWork()
+    for focus, aperture, side in ((0, 1, "far"), (3, 2, "near"), (4, 0, "far")):
+        view = RefocusSettings(focus=focus, aperture=aperture, side=side, linearize=None)
+        refocusing(viewer, leaf, view).run(kept)
+    assert len(method.restorations) == len(method.labelings) == 1
+    told = [(call["focus"], call["aperture"], call["side"]) for call in method.refocusings]
+    assert told == [(0, 1, "far"), (3, 2, "near"), (4, 0, "far")]
+    for call in method.refocusings:
+        assert (call["all_in_focus"] == 0.25).all()
+
+
+def test_what_is_made_all_in_focus_can_be_seen_with_another_focus(viewer, leaf, method):
+    kept = KeptWork()
+    restoration(viewer, leaf).run(kept)
+    refocusing(viewer, leaf, RefocusSettings(focus=2, linearize=None)).run(kept)
+    assert len(method.restorations) == 1
+
+
+@pytest.mark.parametrize(
+    "changed", [{"tv_weight": 1e-3}, {"linearize": "srgb"}, {"protect": False}]
+)
+def test_other_settings_restore_again(viewer, leaf, method, changed):
+    kept = KeptWork()
+    restoration(viewer, leaf).run(kept)
+    restoration(viewer, leaf, **changed).run(kept)
+    assert len(method.restorations) == 2
+
+
+def test_edited_picture_is_restored_again(viewer, leaf, method):
+    kept, wanted = KeptWork(), restoration(viewer, leaf)
+    wanted.run(kept)
+    leaf.data[10, 10] = 0
+    wanted.run(kept)
+    assert len(method.restorations) == 2
+
+
+def test_painting_on_the_result_does_not_change_what_is_kept(viewer, leaf, method):
+    kept = KeptWork()
+    show_results(viewer, restoration(viewer, leaf).run(kept).layers)[-1].data[:] = 1
+    refocusing(viewer, leaf, RefocusSettings(linearize=None)).run(kept)
+    assert method.refocusings[0]["all_in_focus"].max() == 0.25
+
+
+def test_another_focus_updates_its_layer_and_leaves_the_map_alone(viewer, leaf, method):
+    kept = KeptWork()
+    for focus in (2.0, 4.0):
+        view = RefocusSettings(focus=focus)
+        layers = show_results(viewer, refocusing(viewer, leaf, view).run(kept).layers)
+        assert layers[-1].name == "leaf refocused"
+        assert layers[-1].data.max() == np.float32(focus / 10)
+        layers[0].contrast_limits = (1, 3)
+        layers[-1].contrast_limits = (0.1, 0.9)
+    assert len(viewer.layers) == 4
+    assert tuple(layers[-1].contrast_limits) == (0.1, 0.9)
+    assert tuple(viewer.layers["leaf blur (px)"].contrast_limits) == (1, 3)
+    assert layers[-1].metadata[METADATA_KEY]["settings"]["view"]["focus"] == 4.0
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_colour_stays_colour(viewer, method, channels):
+    color = np.random.default_rng(0).random((32, 48, channels), np.float32)
+    layer = viewer.add_image(color, name="color")
+    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    assert sharp.rgb
+    assert sharp.data.shape == (32, 48, 3)
+
+
+def test_grey_picture_takes_the_place_of_a_colour_picture_of_its_name(viewer, method, texture):
+    layer = viewer.add_image(np.dstack([texture] * 3), name="leaf")
+    show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    viewer.layers.remove(layer)
+    layer = viewer.add_image(texture, name="leaf")
+    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    assert not sharp.rgb
+    assert sharp.name == "leaf all in focus"
+    assert sharp.data.shape == texture.shape
+
+
+def test_of_a_stack_the_plane_that_is_shown(viewer, method):
+    stack = np.random.default_rng(0).random((4, 32, 48, 3))
+    layer = viewer.add_image(stack, scale=(5, 1, 1))
+    viewer.dims.set_current_step(0, 2)
+    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    np.testing.assert_array_equal(method.restorations[0]["image"], stack[2])
+    assert sharp.data.shape == (1, 32, 48, 3)
+    assert tuple(sharp.data_to_world((0, 0, 0))) == (10, 0, 0)
+
+
+def test_of_several_scales_and_of_dask_the_finest(viewer, method, texture):
+    lazy = da.from_array(texture, chunks=40)
+    layer = viewer.add_image([lazy, lazy[::2, ::2]])
+    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    assert sharp.data.shape == texture.shape
+    np.testing.assert_array_equal(method.restorations[0]["image"], texture)
+
+
+def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, method):
+    data = np.random.default_rng(0).integers(0, 4096, (32, 48)).astype(np.uint16)
+    layer = viewer.add_image(data, contrast_limits=(0, 4095))
+    refocusing(viewer, layer, RefocusSettings()).run(KeptWork())
+    for call in (*method.estimations, *method.restorations, *method.refocusings):
+        assert call["intensity_range"] == (0.0, 4095.0)
+
+
+def test_pixels_without_a_value_are_refused_before_any_work(viewer, leaf, method):
+    leaf.data[3, 4] = np.nan
+    with pytest.raises(NotAnalysableError, match="without a value"):
+        restoration(viewer, leaf).run(KeptWork())
+    assert not method.estimations
+
+
+def test_progress_rises_from_0_to_1(viewer, leaf, method):
+    seen = []
+    wanted = refocusing(viewer, leaf, RefocusSettings())
+    wanted.run(KeptWork(), lambda step, done: seen.append(done))
+    assert seen == sorted(seen)
+    assert 0.0 <= seen[0] <= seen[-1] <= 1.0
+
+
+def test_same_work_is_told_from_other_work(viewer, leaf, method):
+    assert restoration(viewer, leaf) == restoration(viewer, leaf)
+    assert restoration(viewer, leaf) != restoration(viewer, leaf, protect=False)
+    before = restoration(viewer, leaf)
+    leaf.data = leaf.data.copy()
+    assert restoration(viewer, leaf) != before
