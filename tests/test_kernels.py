@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 
 import napari_defocus
 from napari_defocus import simulate_defocus
+from napari_defocus.blur_operator import BlurOperator
 from napari_defocus.boundaries import (
     Blocks,
     _interpolated_change,
@@ -45,7 +46,9 @@ from napari_defocus.likelihood import (
     quasi_log_likelihood,
     refine_maxima,
 )
-from napari_defocus.refinement import _around, _smoothness_form
+from napari_defocus.refinement import _around
+from napari_defocus.refinement import _smoothness_form as _bend_form
+from napari_defocus.restoration import _smoothness_form, _stiffness
 from napari_defocus.spectrum import SpectrumTable
 
 pytestmark = pytest.mark.kernel
@@ -92,6 +95,44 @@ def test_gather_is_1(channels):
         expected += share[..., None] * padded[2 - i : 7 - i, 2 - j : 8 - j]
     blurred = simulate_defocus(picture.squeeze(), scales, psf=Smear())
     np.testing.assert_allclose(blurred.reshape(expected.shape), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_spread_is_the_adjoint_of_gather(channels):
+    rng = np.random.default_rng(1)
+    scales = (rng.integers(0, 81, (35, 4)) / 80).astype(np.float32)
+    blur = BlurOperator(scales, Smear(), channels)
+    columns = [blur.apply(unit) for unit in units((*blur.domain, channels))]
+    rows = [blur.adjoint(unit) for unit in units((35, 4, channels))]
+    there = np.array([column.ravel() for column in columns]).T
+    np.testing.assert_allclose([row.ravel() for row in rows], there, atol=1e-6)
+
+
+def units(shape):
+    """All pictures with one value of 1, the others 0."""
+    size = np.prod(shape)
+    return (np.eye(1, size, at, np.float32).reshape(shape) for at in range(size))
+
+
+def test_stiffness_is_that_of_the_joint_variation():
+    picture = np.random.default_rng(2).random((4, 5, 3)).astype(np.float32)
+    down = np.diff(picture, axis=0, append=picture[-1:])
+    right = np.diff(picture, axis=1, append=picture[:, -1:])
+    square = np.sum(down**2 + right**2, axis=2) + 0.1**2
+    stiffness = _stiffness(picture, np.float32(0.3), np.float32(0.1))
+    np.testing.assert_allclose(stiffness, 0.3 / 2 / np.sqrt(square), rtol=1e-5)
+
+
+def test_form_of_the_variation_is_its_weighted_sum_of_squares():
+    rng = np.random.default_rng(3)
+    picture, other = rng.random((2, 4, 5, 3)).astype(np.float32)
+    stiffness = rng.random((4, 5)).astype(np.float32)
+    products = sum(
+        np.sum(stiffness[at][..., None] * np.diff(picture, axis=axis) * np.diff(other, axis=axis))
+        for axis, at in ((0, np.s_[:-1]), (1, np.s_[:, :-1]))
+    )
+    form = _smoothness_form(stiffness, picture)
+    assert np.vdot(other, form) == pytest.approx(products, rel=1e-5)
 
 
 def small_table(step=0.02):
@@ -348,7 +389,7 @@ def test_smoothness_form_is_the_sum_of_weighted_squares():
         expected += np.sum(alike * np.diff(values, axis=axis) ** 2)
         bends = np.diff(values, 2, axis=axis) ** 2
         expected += 3e4 / 1.5**2 * np.sum(np.minimum(first, last) * bends)
-    form = _smoothness_form(labels, weights, 4, 1.5)
+    form = _bend_form(labels, weights, 4, 1.5)
     np.testing.assert_allclose(values.ravel() @ (form @ values.ravel()), expected, rtol=1e-6)
 
 

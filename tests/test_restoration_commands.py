@@ -55,6 +55,10 @@ def instant(monkeypatch):
     def confidence_map(candidates, blur_map):
         return np.full(blur_map.shape, 0.75, np.float32)
 
+    def cautious_blur_map(candidates, blur_map, *, risk):
+        calls["risk"] = risk
+        return blur_map - np.float32(0.5)
+
     def estimate_noise_variance(image, **options):
         calls["noise"] = options
         return 3e-5
@@ -69,7 +73,8 @@ def instant(monkeypatch):
 
         return make
 
-    stand_ins = [estimate_candidates, label_blur_map, confidence_map, estimate_noise_variance]
+    stand_ins = [estimate_candidates, label_blur_map, confidence_map, cautious_blur_map]
+    stand_ins.append(estimate_noise_variance)
     for function in stand_ins:
         monkeypatch.setattr(napari_defocus, function.__name__, function)
     for name in ("restore_all_in_focus", "change_focus"):
@@ -190,11 +195,15 @@ def test_defaults_are_those_of_the_functions(folder, instant):
     assert instant["candidates"]["mode"] == MapSettings.mode
     assert instant["map"]["smoothness"] == MapSettings.smoothness
     assert instant["map"]["color_sigma"] == MapSettings.color_sigma
-    for step in ("restore_all_in_focus", "change_focus"):
-        assert instant[step]["tv_weight"] is RestorationSettings.tv_weight
-        assert instant[step]["psf"] == Disc()
-        np.testing.assert_array_equal(instant[step]["confidence"], np.float32(0.75))
-        np.testing.assert_array_equal(instant[step]["blur_map"], np.float32(2.5))
+    assert instant["risk"] == RestorationSettings.risk
+    restoring, changing = instant["restore_all_in_focus"], instant["change_focus"]
+    assert restoring["tv_weight"] is RestorationSettings.tv_weight
+    assert restoring["psf"] == changing["psf"] == Disc()
+    np.testing.assert_array_equal(restoring["confidence"], np.float32(0.75))
+    np.testing.assert_array_equal(restoring["blur_map"], np.float32(2.0))
+    np.testing.assert_array_equal(changing["blur_map"], np.float32(2.5))
+    assert changing["all_in_focus"] is not None
+    assert run("restore", folder / "p.png", "--force").exit_code == 0
     assert instant["restore_all_in_focus"]["linearize"] is MapSettings.linearize
     assert instant["change_focus"]["linearize"] == RefocusSettings.linearize
     assert instant["change_focus"]["focus"] == RefocusSettings.focus
@@ -205,7 +214,7 @@ def test_defaults_are_those_of_the_functions(folder, instant):
 def test_options_reach_the_functions(folder, instant, command):
     options = ["--psf", "polygon:6", "--max-radius", 5, "--smoothness", 7, "--color-sigma", 0.3]
     options += ["--mode", "paper", "--linearize", "srgb", "--intensity-range", 0, 200]
-    options += ["--noise-variance", 1e-4, "--tv-weight", 0.01]
+    options += ["--noise-variance", 1e-4, "--tv-weight", 0.01, "--risk", 0.3]
     if command == "refocus":
         options += ["--focus", -1.5, "--aperture", 3, "--side", "near"]
     result = run(command, folder / "p.png", *options, "--json")
@@ -214,12 +223,15 @@ def test_options_reach_the_functions(folder, instant, command):
     assert instant["candidates"]["linearize"] == "srgb"
     assert instant["map"]["smoothness"] == 7
     assert instant["map"]["color_sigma"] == 0.3
-    step = instant["change_focus" if command == "refocus" else "restore_all_in_focus"]
-    assert step["psf"].blades == 6
-    assert step["intensity_range"] == (0, 200)
-    assert step["linearize"] == "srgb"
-    assert step["tv_weight"] == 0.01
-    assert step["noise_variance"] == 1e-4
+    assert instant["risk"] == 0.3
+    restoring = instant["restore_all_in_focus"]
+    step = instant["change_focus"] if command == "refocus" else restoring
+    for part in (restoring, step):
+        assert part["psf"].blades == 6
+        assert part["intensity_range"] == (0, 200)
+        assert part["linearize"] == "srgb"
+    assert restoring["tv_weight"] == 0.01
+    assert restoring["noise_variance"] == 1e-4
     facts = json.loads(result.stdout)
     assert facts["tv_weight"] == 0.01
     assert facts["psf"] == "polygon:6"
@@ -234,14 +246,14 @@ def test_noise_is_found_again_where_the_light_is_another(folder, instant):
     change = ["refocus", folder / "p.png", "--aperture", 2, "--noise-variance", 1e-4, "--force"]
     assert run(*change).exit_code == 0
     assert instant["noise"]["linearize"] == "srgb"
-    assert instant["change_focus"]["noise_variance"] == 3e-5
+    assert instant["restore_all_in_focus"]["noise_variance"] == 3e-5
     for same_light in (
         ["--encoding", "linear"],
         ["--linearize", "srgb"],
         ["--map", folder / "blur.tif"],
     ):
         assert run(*change, *same_light).exit_code == 0
-        assert instant["change_focus"]["noise_variance"] == 1e-4
+        assert instant["restore_all_in_focus"]["noise_variance"] == 1e-4
 
 
 def test_encoding_says_in_what_light_it_is_blurred_again(folder, instant):
@@ -284,7 +296,7 @@ def test_map_that_is_given_is_not_measured(folder, instant, command):
     result = run(*command, folder / "p.png", "--map", folder / "blur.tif", "--json")
     assert result.exit_code == 0, result.output
     assert "candidates" not in instant
-    step = instant["change_focus" if command[0] == "refocus" else "restore_all_in_focus"]
+    step = instant["restore_all_in_focus"]
     assert step["confidence"] is None
     np.testing.assert_array_equal(step["blur_map"], np.float32(2))
     facts = json.loads(result.stdout)

@@ -184,6 +184,14 @@ TVWeight = Annotated[
         "Derived from the noise if left out.",
     ),
 ]
+Risk = Annotated[
+    float,
+    typer.Option(
+        metavar="NUMBER",
+        help="Of taking more blur away than there is, which makes rings: small leaves more blur "
+        "where it is not sure, 1 takes away what the map says. Without effect with --map.",
+    ),
+]
 SideOption = Annotated[
     Side,
     typer.Option(

@@ -38,6 +38,8 @@ class Measurement:
     shot_noise : ShotNoise or None
     map_file, confidence_file : Path or None
         What was read instead of measuring.
+    candidates : BlurCandidates or None
+        What the map was made of, if it was measured.
     """
 
     blur_map: NDArray[Any]
@@ -47,11 +49,18 @@ class Measurement:
     shot_noise: ShotNoise | None = None
     map_file: Path | None = None
     confidence_file: Path | None = None
+    candidates: BlurCandidates | None = None
 
     @property
     def image_shape(self) -> tuple[int, int]:
         """Height and width of the picture, in px."""
         return self.blur_map.shape[0], self.blur_map.shape[1]
+
+    def cautious(self, risk: float) -> NDArray[Any]:
+        """Return how much of the map is safe to take away; all of it if it was read."""
+        if self.candidates is None:
+            return self.blur_map
+        return napari_defocus.cautious_blur_map(self.candidates, self.blur_map, risk=risk)
 
     def trusted(self, min_confidence: float) -> NDArray[Any]:
         """Return the map with NaN where the confidence is lower."""
@@ -146,6 +155,7 @@ def label_map(
         psf=candidates.psf,
         noise_variance=candidates.noise_variance,
         shot_noise=candidates.shot_noise,
+        candidates=candidates,
     )
 
 

@@ -34,6 +34,7 @@ from napari_defocus.commands import (
     Quiet,
     RefocusedOutputs,
     RestoredOutputs,
+    Risk,
     SharpAt,
     ShotNoiseOption,
     SideOption,
@@ -68,6 +69,7 @@ from napari_defocus.settings import (
     RefocusSettings,
     RestorationSettings,
     Side,
+    check_risk,
     check_tv_weight,
 )
 
@@ -79,12 +81,16 @@ if TYPE_CHECKING:
 MEASURING_SHARE = 0.2
 """Roughly how much of the time goes into the map; for the progress bar only."""
 
+_RESTORING_SHARE = 0.8
+"""Of the time after the map, roughly."""
+
 _USUAL_ENCODING: Encoding = RefocusSettings.linearize or "linear"
 
 
 def restore(
     image: ImagePath,
     tv_weight: TVWeight = RestorationSettings.tv_weight,
+    risk: Risk = RestorationSettings.risk,
     psf: PSFTextOrMaps = None,
     noise_variance: NoiseVariance = MapSettings.noise_variance,
     shot_noise: ShotNoiseOption = MapSettings.shot_noise,
@@ -119,6 +125,7 @@ def restore(
         )
         settings.family()
         check_tv_weight(tv_weight)
+        check_risk(risk)
         check_endings(outputs, ".png", ".tif", ".tiff")
         picture = files.read_picture(image)
         for source in (image, known_map, map_confidence):
@@ -129,19 +136,10 @@ def restore(
         found = replace(found, noise_variance=noise)
         facts = picture_facts(image, outputs, found, settings)
         facts |= file_facts(found) | map_facts(found) | {"tv_weight": tv_weight}
-        found = _without_gaps(found)
-        sharp = napari_defocus.restore_all_in_focus(
-            picture,
-            found.blur_map,
-            psf=found.psf,
-            noise_variance=noise,
-            confidence=found.confidence,
-            tv_weight=tv_weight,
-            linearize=linearize,
-            intensity_range=intensity_range,
-            progress=second,
+        sharp = _restored(
+            picture, found, noise, tv_weight, risk, linearize, intensity_range, second
         )
-        made_with = used(found, settings) | {"tv_weight": tv_weight}
+        made_with = used(found, settings) | {"tv_weight": tv_weight, "risk": risk}
         contents = _encoded(outputs, sharp, picture, "all-in-focus picture", made_with)
         files.write_results(contents, force=force)
         return facts
@@ -161,6 +159,7 @@ def refocus(
     focus_distance: FocusDistance = None,
     pixel_pitch: PixelPitch = None,
     tv_weight: TVWeight = RestorationSettings.tv_weight,
+    risk: Risk = RestorationSettings.risk,
     psf: PSFTextOrMaps = None,
     noise_variance: NoiseVariance = MapSettings.noise_variance,
     shot_noise: ShotNoiseOption = MapSettings.shot_noise,
@@ -204,11 +203,13 @@ def refocus(
         )
         family = settings.family()
         check_tv_weight(tv_weight)
+        check_risk(risk)
         _check_change(focus, sharp_at, aperture, given)
         check_endings(outputs, ".png", ".tif", ".tiff")
         picture = files.read_picture(image)
         change = _focus_facts(image, focus, sharp_at, side, given, family)
-        change |= {"aperture": aperture, "side": side, "encoding": encoding, "tv_weight": tv_weight}
+        change |= {"aperture": aperture, "side": side, "encoding": encoding}
+        change |= {"tv_weight": tv_weight, "risk": risk}
         for source in (image, known_map, map_confidence):
             files.check_results(outputs, force=force, source=source)
         first, second = _shares(progress)
@@ -218,20 +219,19 @@ def refocus(
         change |= {"restoring_noise_variance": noise}
         facts = picture_facts(image, outputs, found, settings)
         facts |= file_facts(found) | map_facts(found) | change
-        found = _without_gaps(found)
+        restoring = within(second, 0.0, _RESTORING_SHARE)
+        sharp = _restored(picture, found, noise, tv_weight, risk, light, intensity_range, restoring)
         changed = napari_defocus.change_focus(
             picture,
-            found.blur_map,
+            _without_gaps(found).blur_map,
             focus=change["focus_px"],
             aperture=aperture,
             side=side,
             psf=found.psf,
-            noise_variance=noise,
-            confidence=found.confidence,
-            tv_weight=tv_weight,
+            all_in_focus=sharp,
             linearize=light,
             intensity_range=intensity_range,
-            progress=second,
+            progress=within(second, _RESTORING_SHARE, 1.0),
         )
         made_with = used(found, settings) | change
         contents = _encoded(outputs, changed, picture, "refocused picture", made_with)
@@ -243,6 +243,31 @@ def refocus(
 
 def _shares(progress: Progress) -> tuple[Progress, Progress]:
     return within(progress, 0.0, MEASURING_SHARE), within(progress, MEASURING_SHARE, 1.0)
+
+
+def _restored(
+    picture: NDArray[Any],
+    found: Measurement,
+    noise_variance: float,
+    tv_weight: float | None,
+    risk: float,
+    linearize: Linearize | None,
+    intensity_range: tuple[float, float] | None,
+    progress: Progress,
+) -> NDArray[Any]:
+    """Take away what is safe to take away."""
+    safe = _without_gaps(replace(found, blur_map=found.cautious(risk)))
+    return napari_defocus.restore_all_in_focus(
+        picture,
+        safe.blur_map,
+        psf=found.psf,
+        noise_variance=noise_variance,
+        confidence=safe.confidence,
+        tv_weight=tv_weight,
+        linearize=linearize,
+        intensity_range=intensity_range,
+        progress=progress,
+    )
 
 
 def _check_change(

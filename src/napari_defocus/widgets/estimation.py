@@ -67,6 +67,8 @@ class EstimatedMap:
     ----------
     values : (H, W) float32 ndarray
         Scale in px.
+    safe : (H, W) float32 ndarray
+        How much of it is safe to take away, in px.
     confidence : (H, W) float32 ndarray
         In [0, 1].
     noise_variance : float
@@ -75,6 +77,7 @@ class EstimatedMap:
     """
 
     values: Float32
+    safe: Float32
     confidence: Float32
     noise_variance: float
     psf: PSFFamily
@@ -132,7 +135,7 @@ def estimated_map(
     picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
 ) -> EstimatedMap:
     """Return the blur map of a picture: that of an earlier run, if nothing has changed."""
-    from napari_defocus import confidence_map
+    from napari_defocus import cautious_blur_map, confidence_map
 
     def estimate() -> EstimatedMap:
         estimating = within(progress, 0.0, ESTIMATION_SHARE)
@@ -141,9 +144,19 @@ def estimated_map(
         values = labelled_map(candidates, picture, settings, labelling)
         progress("Measuring the confidence", 1.0)
         confidence = confidence_map(candidates, values)
-        return EstimatedMap(values, confidence, candidates.noise_variance, candidates.psf)
+        safe = cautious_blur_map(candidates, values)
+        return EstimatedMap(values, safe, confidence, candidates.noise_variance, candidates.psf)
 
-    return kept.maps.get(picture.plane.layer, (*picture.key, settings, settings.family()), estimate)
+    return kept.maps.get(picture.plane.layer, _key(picture, settings), estimate)
+
+
+def known_map(picture: Picture, settings: MapSettings, kept: KeptWork) -> EstimatedMap | None:
+    """Return the blur map of a picture if an earlier run has estimated it."""
+    return kept.maps.known(picture.plane.layer, _key(picture, settings))
+
+
+def _key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
+    return *picture.key, settings, settings.family()
 
 
 def cut(

@@ -57,20 +57,22 @@ class Kept(Generic[T]):
         find : callable
             Finds it, if it must be found.
         """
-        found = self._kept_for(layer(), key)
+        found = self.known(layer, key)
         if found is None:
             found = find()
             self._keep(layer(), key, found)
         return found
 
-    def _kept_for(self, layer: Image | None, key: Hashable) -> T | None:
-        if layer is None:
+    def known(self, layer: weakref.ref[Image], key: Hashable) -> T | None:
+        """Return what was found of a layer if `key` is the same, else None."""
+        living = layer()
+        if living is None:
             return None
         with self._lock:
-            kept_key, found = self._kept.get(weakref.ref(layer), (None, None))
+            kept_key, found = self._kept.get(weakref.ref(living), (None, None))
             if kept_key != key:
                 return None
-            self._kept.move_to_end(weakref.ref(layer))
+            self._kept.move_to_end(weakref.ref(living))
             return found
 
     def _keep(self, layer: Image | None, key: Hashable, found: T) -> None:

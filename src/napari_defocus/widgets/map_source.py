@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.progress import Progress
 from napari_defocus.settings import MapSettings, psf_of, radius_per_scale
-from napari_defocus.widgets.estimation import LARGEST_RADIUS, Picture, estimated_map
+from napari_defocus.widgets.estimation import LARGEST_RADIUS, Picture, estimated_map, known_map
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, finest, shown_plane
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer
@@ -48,6 +48,8 @@ class BlurMap:
         Whose scale it is; its domain reaches as far as the values.
     confidence : (H, W) float32 ndarray or None
         In [0, 1]; None if it is not known.
+    safe : (H, W) float32 ndarray or None
+        How much of it is safe to take away, in px; None if it is not known.
     layers : list of LayerDataTuple
         To be shown: the map and its confidence, if they were estimated.
     """
@@ -56,6 +58,7 @@ class BlurMap:
     values: Float32
     psf: PSFFamily
     confidence: Float32 | None
+    safe: Float32 | None = None
     layers: list[LayerDataTuple] = field(default_factory=list)
 
     def checked_for_restoration(self) -> Float32:
@@ -118,6 +121,7 @@ class EstimatedSource:
             values=found.values,
             psf=found.psf,
             confidence=found.confidence,
+            safe=found.safe,
             layers=[shown, sure],
         )
 
@@ -139,12 +143,15 @@ class LayerSource:
     max_radius : float
         Largest radius that was looked for, in px.
     confidence : Plane or None
+    made_with : MapSettings or None
+        What it was estimated with, if we did and nothing has changed it.
     """
 
     plane: Plane
     psf: str
     max_radius: float = MapSettings.max_radius
     confidence: Plane | None = None
+    made_with: MapSettings | None = None
 
     def __post_init__(self) -> None:
         """Refuse a lens that cannot be before any work is done with it."""
@@ -166,7 +173,13 @@ class LayerSource:
             values=values,
             psf=self._family(float(known.max())),
             confidence=confidence,
+            safe=self._safe(picture, values, kept),
         )
+
+    def _safe(self, picture: Picture, values: Float32, kept: KeptWork) -> Float32 | None:
+        """Return what is safe to take away, if this is the map that an earlier run has made."""
+        found = self.made_with and known_map(picture, self.made_with, kept)
+        return found.safe if found and np.array_equal(found.values, values) else None
 
     def _family(self, largest: float) -> PSFFamily:
         from napari_defocus import psf_from_text
@@ -215,6 +228,7 @@ def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -
         psf=made.psf if made else psf,
         max_radius=made.max_radius if made else MapSettings.max_radius,
         confidence=_confidence_of(layer, found, viewer),
+        made_with=made,
     )
 
 

@@ -69,6 +69,8 @@ class Restoration:
         blur_map = self.source.read(picture, kept, within(progress, 0.0, _MAP_SHARE))
         values = blur_map.checked_for_restoration()
         confidence = blur_map.confidence if self.protect else None
+        if self.protect and blur_map.safe is not None:
+            values = blur_map.safe
         progress("Measuring the noise", _MAP_SHARE)
         common: dict[str, Any] = {"linearize": self.linearize, "intensity_range": picture.span}
         noise_variance = self.settings.noise_variance
