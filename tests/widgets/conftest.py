@@ -123,6 +123,9 @@ class StandIn:
     def confidence_map(self, candidates, blur_map):
         return np.linspace(0, 1, blur_map.size, dtype=np.float32).reshape(blur_map.shape)
 
+    def cautious_blur_map(self, candidates, blur_map):
+        return 0.75 * blur_map
+
     def segment_in_focus(self, candidates, image, *, progress, threshold, **arguments):
         self.segmentations.append({"threshold": threshold, **arguments})
         return np.full(candidates.image_shape, self.radius <= threshold, np.uint8)
@@ -146,6 +149,7 @@ def method(monkeypatch):
         "estimate_shot_noise",
         "label_blur_map",
         "confidence_map",
+        "cautious_blur_map",
         "segment_in_focus",
         "restore_all_in_focus",
         "change_focus",

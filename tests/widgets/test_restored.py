@@ -1,6 +1,7 @@
 import dask.array as da
 import numpy as np
 import pytest
+from napari.layers import Image
 
 from napari_defocus import Disc
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
@@ -80,13 +81,15 @@ def test_settings_reach_the_method(viewer, leaf, method):
     assert call["noise_variance"] == 1e-4
     assert call["tv_weight"] == 2e-3
     assert call["confidence"].max() == 1
-    assert (call["blur_map"] == method.radius).all()
+    assert (call["blur_map"] < method.radius).all()
 
 
 @pytest.mark.parametrize("protect", [True, False])
-def test_confidence_protects_if_it_is_wanted(viewer, leaf, method, protect):
+def test_uncertain_places_are_protected_if_it_is_wanted(viewer, leaf, method, protect):
     results = restoration(viewer, leaf, protect=protect).run(KeptWork())
-    assert (method.restorations[0]["confidence"] is not None) == protect
+    [call] = method.restorations
+    assert (call["confidence"] is not None) == protect
+    assert (call["blur_map"] < method.radius).all() == protect
     assert len(results.layers) == 3
 
 
@@ -101,6 +104,19 @@ def test_map_of_a_layer_is_taken_as_it_is_now(viewer, leaf, method):
     assert [keywords["name"] for _, keywords, _ in results.layers] == ["leaf all in focus"]
     assert "Nothing is protected" in results.summary
     theirs.data[5, 5] = 1.0
+    wanted.run(kept)
+    assert method.restorations[1]["blur_map"][5, 5] == 1.0
+
+
+def test_map_of_ours_is_protected_until_somebody_changes_it(viewer, leaf, method):
+    kept = KeptWork()
+    run = Analysis(plane=shown_plane(leaf, viewer.dims), estimation=MapSettings()).run(kept)
+    blur_map = Image(run[0][0], **run[0][1])
+    viewer.add_layer(blur_map)
+    wanted = restoration(viewer, leaf, map_layer=blur_map)
+    wanted.run(kept)
+    assert (method.restorations[0]["blur_map"] < method.radius).all()
+    blur_map.data[5, 5] = 1.0
     wanted.run(kept)
     assert method.restorations[1]["blur_map"][5, 5] == 1.0
 
