@@ -134,17 +134,17 @@ def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, metho
 def test_large_pictures_are_cut_in_another_process_with_the_same_result(viewer, monkeypatch):
     picture = np.random.default_rng(0).uniform(0, 1, (48, 64, 3)).astype(np.float32)
     layer = viewer.add_image(picture, rgb=True)
-    kept, elsewhere = KeptWork(), []
+    elsewhere = []
 
     def spy(function, *args, **keywords):
         elsewhere.append(function.__name__)
         return run_elsewhere(function, *args, **keywords)
 
     monkeypatch.setattr(estimation, "run_elsewhere", spy)
-    here = analysis(viewer, layer, threshold=2.0).run(kept)
+    here = analysis(viewer, layer, threshold=2.0).run(KeptWork())
     assert not elsewhere
     monkeypatch.setattr(estimation, "LARGE", picture[..., 0].size - 1)
-    there = analysis(viewer, layer, threshold=2.0).run(kept)
+    there = analysis(viewer, layer, threshold=2.0).run(KeptWork())
     assert elsewhere == ["label_blur_map", "segment_in_focus"]
     for (data, keywords, kind), (same_data, same_keywords, same_kind) in zip(
         here, there, strict=True

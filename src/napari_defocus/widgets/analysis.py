@@ -20,7 +20,7 @@ from napari_defocus.widgets.estimation import (
     Picture,
     cut,
     estimated_candidates,
-    labelled_map,
+    estimated_map,
 )
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import Plane
@@ -83,24 +83,22 @@ class Analysis:
         return [
             layer
             for step, start in zip(steps, starts, strict=True)
-            for layer in step(candidates, picture, within(progress, start, start + share))
+            for layer in step(candidates, picture, kept, within(progress, start, start + share))
         ]
 
     def _map_layers(
-        self, candidates: BlurCandidates, picture: Picture, progress: Progress
+        self, candidates: BlurCandidates, picture: Picture, kept: KeptWork, progress: Progress
     ) -> list[LayerDataTuple]:
-        from napari_defocus import confidence_map
-
-        blur_map = labelled_map(candidates, picture, self.estimation, progress)
+        found = estimated_map(picture, self.estimation, kept, progress)
         used = self.estimation, candidates.noise_variance
-        layers = [blur_map_layer(self.plane, blur_map, *used, candidates.psf)]
+        # Copies: what somebody paints on a layer is not kept.
+        layers = [blur_map_layer(self.plane, found.values.copy(), *used, candidates.psf)]
         if self.confidence:
-            progress("Measuring the confidence", 1.0)
-            layers.append(confidence_layer(self.plane, confidence_map(candidates, blur_map), *used))
+            layers.append(confidence_layer(self.plane, found.confidence.copy(), *used))
         return layers
 
     def _mask_layers(
-        self, candidates: BlurCandidates, picture: Picture, progress: Progress
+        self, candidates: BlurCandidates, picture: Picture, kept: KeptWork, progress: Progress
     ) -> list[LayerDataTuple]:
         from napari_defocus import segment_in_focus
 

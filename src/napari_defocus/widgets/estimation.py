@@ -91,10 +91,6 @@ def estimated_candidates(
 
     common: dict[str, Any] = {"linearize": settings.linearize, "intensity_range": picture.span}
     family = settings.family()
-    key = (
-        *(*picture.key, settings.noise_variance, settings.shot_noise, family),
-        *(settings.window, settings.stride, settings.mode, settings.linearize),
-    )
 
     def estimate() -> BlurCandidates:
         noise: float | ShotNoise | None = settings.noise_variance
@@ -112,7 +108,15 @@ def estimated_candidates(
             progress=progress,
         )
 
-    return kept.get(picture.plane.layer, key, estimate)
+    return kept.get(picture.plane.layer, _candidates_key(picture, settings), estimate)
+
+
+def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
+    """Return all that candidates depend on."""
+    return (
+        *(*picture.key, settings.noise_variance, settings.shot_noise, settings.family()),
+        *(settings.window, settings.stride, settings.mode, settings.linearize),
+    )
 
 
 def labelled_map(
@@ -138,9 +142,11 @@ def estimated_map(
     from napari_defocus import cautious_blur_map, confidence_map
 
     def estimate() -> EstimatedMap:
-        estimating = within(progress, 0.0, ESTIMATION_SHARE)
+        known = kept.candidates.known(picture.plane.layer, _candidates_key(picture, settings))
+        share = 0.0 if known else ESTIMATION_SHARE
+        estimating = within(progress, 0.0, share)
         candidates = estimated_candidates(picture, settings, kept.candidates, estimating)
-        labelling = within(progress, ESTIMATION_SHARE, 1.0)
+        labelling = within(progress, share, 1.0)
         values = labelled_map(candidates, picture, settings, labelling)
         progress("Measuring the confidence", 1.0)
         confidence = confidence_map(candidates, values)
