@@ -164,10 +164,10 @@ def restore_all_in_focus(
         noise_variance = estimate_noise_variance(
             image, linearize=linearize, intensity_range=intensity_range
         )
-    if picture.color.shape[2] == 3:
-        noise_variance /= _LUMA_OF_NOISE
+    channels = picture.color.shape[2]
     if tv_weight is None:
-        tv_weight = usual_tv_weight(noise_variance)
+        tv_weight = usual_tv_weight(noise_variance, channels)
+    noise_variance = _noise_of_a_channel(noise_variance, channels)
     with ThreadPoolExecutor(get_num_threads()) as pool:
         problem = _Deconvolution(picture, psf, sure, noise_variance, tv_weight, linearize, pool)
         sharp = np.clip(problem.solve(scales, progress), 0, 1)
@@ -176,9 +176,22 @@ def restore_all_in_focus(
     return _in_shape_of(image, sharp)
 
 
-def usual_tv_weight(noise_variance: float) -> float:
-    """Return lambda of (19) for the noise variance of a channel, as measured on simulations."""
-    return _TV_OF_NOISE * noise_variance + _LEAST_TV
+def usual_tv_weight(noise_variance: float, channels: int) -> float:
+    """Return the lambda of (19) that simulations asked for.
+
+    Parameters
+    ----------
+    noise_variance : float
+        Of the luminance.
+    channels : {1, 3}
+        Of the picture.
+    """
+    return _TV_OF_NOISE * _noise_of_a_channel(noise_variance, channels) + _LEAST_TV
+
+
+def _noise_of_a_channel(noise_variance: float, channels: int) -> float:
+    """Return the variance of independent noise in each channel that makes that of luminance."""
+    return noise_variance / _LUMA_OF_NOISE if channels == 3 else noise_variance
 
 
 class _Deconvolution:

@@ -134,12 +134,11 @@ def restore(
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
         noise = _noise_variance(found, picture, settings, linearize, intensity_range)
         found = replace(found, noise_variance=noise)
+        weight = _weight(tv_weight, noise, picture)
         facts = picture_facts(image, outputs, found, settings)
-        facts |= file_facts(found) | map_facts(found) | {"tv_weight": tv_weight}
-        sharp = _restored(
-            picture, found, noise, tv_weight, risk, linearize, intensity_range, second
-        )
-        made_with = used(found, settings) | {"tv_weight": tv_weight, "risk": risk}
+        facts |= file_facts(found) | map_facts(found) | {"tv_weight": weight}
+        sharp = _restored(picture, found, noise, weight, risk, linearize, intensity_range, second)
+        made_with = used(found, settings) | {"tv_weight": weight, "risk": risk}
         contents = _encoded(outputs, sharp, picture, "all-in-focus picture", made_with)
         files.write_results(contents, force=force)
         return facts
@@ -209,18 +208,18 @@ def refocus(
         picture = files.read_picture(image)
         change = _focus_facts(image, focus, sharp_at, side, given, family)
         change |= {"aperture": aperture, "side": side, "encoding": encoding}
-        change |= {"tv_weight": tv_weight, "risk": risk}
         for source in (image, known_map, map_confidence):
             files.check_results(outputs, force=force, source=source)
         first, second = _shares(progress)
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
         light: Linearize | None = "srgb" if encoding == "srgb" else None
         noise = _noise_variance(found, picture, settings, light, intensity_range)
-        change |= {"restoring_noise_variance": noise}
+        weight = _weight(tv_weight, noise, picture)
+        change |= {"restoring_noise_variance": noise, "tv_weight": weight, "risk": risk}
         facts = picture_facts(image, outputs, found, settings)
         facts |= file_facts(found) | map_facts(found) | change
         restoring = within(second, 0.0, _RESTORING_SHARE)
-        sharp = _restored(picture, found, noise, tv_weight, risk, light, intensity_range, restoring)
+        sharp = _restored(picture, found, noise, weight, risk, light, intensity_range, restoring)
         changed = napari_defocus.change_focus(
             picture,
             _without_gaps(found).blur_map,
@@ -249,7 +248,7 @@ def _restored(
     picture: NDArray[Any],
     found: Measurement,
     noise_variance: float,
-    tv_weight: float | None,
+    tv_weight: float,
     risk: float,
     linearize: Linearize | None,
     intensity_range: tuple[float, float] | None,
@@ -364,9 +363,17 @@ def _encoded(
     }
 
 
+def _weight(tv_weight: float | None, noise_variance: float, picture: NDArray[Any]) -> float:
+    """Return the lambda that is given, or the usual one."""
+    if tv_weight is not None:
+        return tv_weight
+    from napari_defocus.restoration import usual_tv_weight
+
+    return usual_tv_weight(noise_variance, 1 if picture.ndim == 2 else 3)
+
+
 def _weight_line(facts: Mapping[str, Any]) -> str:
-    weight = facts["tv_weight"]
-    return f"tv weight    {'from the noise' if weight is None else f'{weight:g}'}"
+    return f"tv weight    {facts['tv_weight']:.2g}"
 
 
 def _restored_lines(facts: Mapping[str, Any]) -> Iterator[str]:
