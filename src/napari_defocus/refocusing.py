@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.confidence import checked_map
-from napari_defocus.depth import Side
 from napari_defocus.image import prepare_image
 from napari_defocus.layered import simulate_layered_defocus
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily, as_family
 from napari_defocus.restoration import restore_all_in_focus
-from napari_defocus.settings import Linearize, RefocusSettings, RestorationSettings
+from napari_defocus.settings import Linearize, RefocusSettings, RestorationSettings, Side
 
 Float32 = NDArray[np.float32]
 
