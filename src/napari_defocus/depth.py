@@ -219,7 +219,11 @@ def depth_from_blur(
             f"blur_map has values from {np.nanmin(scale):g} to {np.nanmax(scale):g}; "
             "it takes finite ones from 0 px up, NaN unknown"
         )
-    beyond = _checked_side(side, scale.shape, lens)
+    beyond = checked_side(side, scale.shape)
+    if math.isinf(lens.focus_distance_m) and beyond.any():
+        raise ValueError(
+            "side says that points lie beyond the focus, but it is at infinity; it takes 'near'"
+        )
     radius = radius_per_scale(as_family(psf)) * scale
     in_focus = 1 / lens.focus_distance_m
     dioptres = in_focus + np.where(beyond, -1, 1) * radius / lens._radius_per_dioptre
@@ -276,24 +280,17 @@ def _check_lens(lens: object) -> None:
         raise TypeError(f"lens is {lens!r}; it takes a ThinLens")
 
 
-def _checked_side(
-    side: Side | ArrayLike, shape: tuple[int, ...], lens: ThinLens
-) -> NDArray[np.bool_]:
+def checked_side(side: Side | ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Return whether points lie beyond the focus: of the given shape, or ()."""
     if isinstance(side, str):
         if side not in get_args(Side):
             raise ValueError(f"side is {side!r}; it takes 'far', 'near' or a bool array")
-        beyond = np.asarray(side == "far")
-    else:
-        beyond = np.asarray(side)
-        if beyond.dtype.kind != "b":
-            raise TypeError(f"side has dtype {beyond.dtype}; it takes 'far', 'near' or bool")
-        if beyond.shape != shape:
-            raise ValueError(f"side has shape {beyond.shape}; it takes that of blur_map, {shape}")
-    if math.isinf(lens.focus_distance_m) and beyond.any():
-        raise ValueError(
-            "side says that points lie beyond the focus, but it is at infinity; it takes 'near'"
-        )
+        return np.asarray(side == "far")
+    beyond = np.asarray(side)
+    if beyond.dtype.kind != "b":
+        raise TypeError(f"side has dtype {beyond.dtype}; it takes 'far', 'near' or bool")
+    if beyond.shape != shape:
+        raise ValueError(f"side has shape {beyond.shape}; it takes that of blur_map, {shape}")
     return beyond
 
 
