@@ -96,6 +96,16 @@ def test_what_shows_through_is_what_lies_behind_and_not_what_is_beside():
     np.testing.assert_allclose(red + green + blue, 1, atol=1e-5)
 
 
+def test_what_lies_farther_still_does_not_shine_through_the_next_layer():
+    # A dark wall before a dark one, of different blur, and a white one much farther away.
+    place = np.select([COLUMN < 20, COLUMN < 55], [0, 1], 2)
+    depth = np.array([1.0, 2.0, 9.0])[place]
+    for before, behind in ((1.0, 4.0), (4.0, 1.0), (2.0, 3.0)):
+        radii = np.array([before, behind, 1.0])[place]
+        picture, _ = simulate_layered_defocus(np.where(place == 2, 1.0, 0.1), depth, radii)
+        np.testing.assert_allclose(picture[:, :40], 0.1, atol=1e-5)
+
+
 @pytest.mark.parametrize("linearize", [None, "srgb"])
 @pytest.mark.parametrize("layers", [1, 7, 40])
 def test_white_scene_stays_white(clouds, ramp, layers, linearize):

@@ -12,13 +12,7 @@ if TYPE_CHECKING:
     from napari_defocus.candidates import BlurCandidates, estimate_candidates
     from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
     from napari_defocus.confidence import cautious_blur_map, confidence_map
-    from napari_defocus.depth import (
-        DepthSurface,
-        ThinLens,
-        blur_from_depth,
-        depth_from_blur,
-        depth_surface,
-    )
+    from napari_defocus.depth import ThinLens, blur_from_depth, depth_from_blur
     from napari_defocus.labeling import estimate_blur_map, label_blur_map, labeling_energy
     from napari_defocus.layered import simulate_layered_defocus
     from napari_defocus.measured_psf import MeasuredPSF
@@ -39,6 +33,7 @@ if TYPE_CHECKING:
     from napari_defocus.segmentation import segment_in_focus
     from napari_defocus.simulation import simulate_defocus
     from napari_defocus.spectrum import FitReport, fit_report
+    from napari_defocus.surface import DepthSurface, depth_surface
 
 __version__ = "0.1.0"
 
@@ -46,7 +41,7 @@ _HOME_OF = {
     "Annulus": "psf",
     "BlurCandidates": "candidates",
     "Cancelled": "progress",
-    "DepthSurface": "depth",
+    "DepthSurface": "surface",
     "Disc": "psf",
     "FitReport": "spectrum",
     "Gaussian": "psf",
@@ -66,7 +61,7 @@ _HOME_OF = {
     "compare_psf": "comparison",
     "confidence_map": "confidence",
     "depth_from_blur": "depth",
-    "depth_surface": "depth",
+    "depth_surface": "surface",
     "estimate_blur_map": "labeling",
     "estimate_candidates": "candidates",
     "estimate_noise_variance": "noise",

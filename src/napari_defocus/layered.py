@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import fft
 from scipy.ndimage import distance_transform_edt
 from scipy.signal import oaconvolve
 
 from napari_defocus.image import encode_srgb, prepare_image
+from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily, as_family
 from napari_defocus.settings import Linearize
 
@@ -102,7 +106,9 @@ def simulate_layered_defocus(
     _check_layers(layers)
     if not (np.isfinite(noise_variance) and noise_variance >= 0):
         raise ValueError(f"noise_variance is {noise_variance}; it takes a finite number from 0 up")
-    seen = _composite(picture.color, distance, radii, psf, layers)
+    scene = Layers.cut(distance, layers)
+    kernels = [psf.kernel(min(mean, psf.max_scale)) for mean in scene.mean(radii)]
+    seen = spread_layers(picture.color, scene, kernels)
     if linearize == "srgb":
         seen = encode_srgb(seen)
     if noise_variance > 0:
@@ -111,68 +117,105 @@ def simulate_layered_defocus(
     return seen[..., 0] if seen.shape[2] == 1 else seen, radii.astype(np.float32)
 
 
-def _composite(
-    color: Float32, distance: Float64, radii: Float64, psf: PSFFamily, layers: int
-) -> Float32:
-    """Spread the light of each layer, what is in front first: (H, W, C)."""
-    layer_of, thickness = _cut(distance, layers)
-    pixels = np.bincount(layer_of.ravel())
-    means = np.bincount(layer_of.ravel(), radii.ravel()) / pixels
-    kernels = [psf.kernel(min(mean, psf.max_scale)) for mean in means]
-    reach = max(len(kernel) for kernel in kernels) // 2
-    edge = ((reach, reach), (reach, reach))
-    layer_of = np.pad(layer_of, edge, mode="symmetric")
-    distance = np.pad(distance, edge, mode="symmetric")
-    # The last channel is coverage.
-    light = np.dstack([np.pad(color, (*edge, (0, 0)), mode="symmetric"), np.ones_like(distance)])
-    light = light.astype(np.float32)
-    behind, layer_behind = _behind(light, distance, layer_of, thickness)
-    seen, hidden = np.zeros_like(light), np.zeros_like(light)
-    for layer, kernel in enumerate(kernels):
-        own = _spread(light * (layer_of == layer)[..., None], kernel)
-        left = 1 - seen[..., -1:]
-        seen += own * np.minimum(1, left / np.maximum(own[..., -1:], _NOTHING))
-        hidden += _spread(behind * (layer_behind == layer)[..., None], kernel)
-    # Where nothing is hidden, what is left comes from layers of different blur on one surface.
-    rest = hidden + _NOTHING * seen
-    seen += (1 - seen[..., -1:]) * rest / np.maximum(rest[..., -1:], _NOTHING**2)
-    height, width = distance.shape
-    return seen[reach : height - reach, reach : width - reach, :-1]
+@dataclass(frozen=True)
+class Layers:
+    """A scene cut into layers, equally thick in its depth.
 
-
-def _cut(distance: Float64, layers: int) -> tuple[NDArray[np.intp], float]:
-    """Return the layer of each pixel, 0 the nearest, none of them empty, and the thickness."""
-    depths, layer_of = np.unique(distance, return_inverse=True)
-    thickness = float(np.ptp(depths)) / layers
-    if len(depths) > layers:
-        slot = np.minimum(((distance - depths[0]) / thickness).astype(np.intp), layers - 1)
-        layer_of = np.unique(slot, return_inverse=True)[1]
-    return layer_of.reshape(distance.shape), thickness
-
-
-def _behind(
-    light: Float32, distance: Float64, layer_of: NDArray[np.intp], thickness: float
-) -> tuple[Float32, NDArray[np.intp]]:
-    """Return the light that each pixel hides, (H, W, C), and its layer, -1 for none.
-
-    It is that of the nearest pixel more than a layer farther away.
+    Attributes
+    ----------
+    number : (H, W) intp ndarray
+        The layer of each pixel: 0 is the nearest, none is empty.
+    behind : (H, W) intp ndarray
+        The pixel, counted row by row, that continues behind each one: the next that is more
+        than a layer farther away; -1 for none.
     """
-    behind, layer_behind = np.zeros_like(light), np.full_like(layer_of, -1)
-    for layer in range(layer_of.max()):
-        here = layer_of == layer
-        nearer = distance <= distance[here].max() + thickness
-        if not nearer.all():
-            rows, columns = distance_transform_edt(
-                nearer, return_distances=False, return_indices=True
-            )[:, here]
-            behind[here], layer_behind[here] = light[rows, columns], layer_of[rows, columns]
-    return behind, layer_behind
+
+    number: NDArray[np.intp]
+    behind: NDArray[np.intp]
+
+    @classmethod
+    def cut(cls, depth: Float64, most: int, progress: Progress = silent) -> Self:
+        """Cut a scene into at most so many layers; if it has no more depths, each is a layer."""
+        depths, number = np.unique(depth, return_inverse=True)
+        thickness = float(np.ptp(depths)) / most
+        if len(depths) > most:
+            slot = np.minimum(((depth - depths[0]) / thickness).astype(np.intp), most - 1)
+            number = np.unique(slot, return_inverse=True)[1]
+        number = number.reshape(depth.shape)
+        behind = np.full_like(number, -1)
+        for layer in range(number.max()):
+            progress("Finding what hides what", layer / number.max())
+            here = number == layer
+            nearer = depth <= depth[here].max() + thickness
+            if not nearer.all():
+                pixel = distance_transform_edt(nearer, return_distances=False, return_indices=True)
+                behind[here] = np.ravel_multi_index(tuple(pixel[:, here]), depth.shape)
+        return cls(number, behind)
+
+    def mean(self, values: Float64) -> Float64:
+        """Return the mean of some values, (H, W), in each layer."""
+        pixels = np.bincount(self.number.ravel())
+        return np.bincount(self.number.ravel(), values.ravel()) / pixels
 
 
-def _spread(light: Float32, kernel: Float64) -> Float32:
-    if len(kernel) == 1:
-        return light
-    return oaconvolve(light, kernel[..., None].astype(np.float32), mode="same", axes=(0, 1))
+def spread_layers(
+    color: Float32, layers: Layers, kernels: Sequence[Float64], progress: Progress = silent
+) -> Float32:
+    """Spread the light of each layer by its own kernel, what is in front first.
+
+    Parameters
+    ----------
+    color : (H, W, C) float32 ndarray
+        Linear light; values below 0 are light that is missing.
+    layers : Layers
+    kernels : sequence of (K, K) ndarray
+        One for each layer.
+    progress : callable, optional
+
+    Returns
+    -------
+    (H, W, C) float32 ndarray
+    """
+    height, width = layers.number.shape
+    # The last channel is coverage.
+    light = np.dstack([color, np.ones((height, width), np.float32)])
+    hides = layers.behind >= 0
+    parts = [
+        (light, layers.number),
+        (
+            light.reshape(height * width, -1)[layers.behind],
+            np.where(hides, layers.number.ravel()[layers.behind], -1),
+        ),
+    ]
+    reach = max(len(kernel) for kernel in kernels) // 2
+    seen = np.zeros((height + 2 * reach, width + 2 * reach, light.shape[2]), np.float32)
+    for part, (source, number) in enumerate(parts):
+        source = np.pad(source, ((reach, reach), (reach, reach), (0, 0)), mode="symmetric")
+        number = np.pad(number, reach, mode="symmetric")
+        for layer, kernel in enumerate(kernels):
+            progress("Spreading the light", (part + layer / len(kernels)) / len(parts))
+            box, own = _spread(source, number == layer, kernel)
+            left = 1 - seen[box][..., -1:]
+            seen[box] += own * np.minimum(1, left / np.maximum(own[..., -1:], _NOTHING))
+    # What is still left comes from layers of different blur on one surface.
+    seen /= np.maximum(seen[..., -1:], _NOTHING)
+    return seen[reach : height + reach, reach : width + reach, :-1]
+
+
+def _spread(
+    light: Float32, here: NDArray[np.bool_], kernel: Float64
+) -> tuple[tuple[slice, ...], Float32]:
+    """Spread the light of some pixels: where it falls, a box of the picture, and how much."""
+    reach = len(kernel) // 2
+    box = tuple(
+        slice(max(int(at[0]) - reach, 0), int(at[-1]) + reach + 1) if len(at) else slice(0)
+        for at in (np.flatnonzero(here.any(axis=1 - axis)) for axis in (0, 1))
+    )
+    own = light[box] * here[box][..., None]
+    if len(kernel) == 1 or own.size == 0:
+        return box, own
+    with fft.set_workers(-1):
+        return box, oaconvolve(own, kernel[..., None].astype(np.float32), "same", axes=(0, 1))
 
 
 def _without_gaps(depth: Float64) -> Float64:

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import is_dataclass, replace
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.confidence import checked_map
-from napari_defocus.depth import Side
-from napari_defocus.image import prepare_image
-from napari_defocus.layered import simulate_layered_defocus
+from napari_defocus.blur_operator import checked_scales
+from napari_defocus.depth import checked_side
+from napari_defocus.image import PreparedImage, encode_srgb, prepare_image
+from napari_defocus.layered import Layers, spread_layers
+from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily, as_family
 from napari_defocus.restoration import restore_all_in_focus
-from napari_defocus.settings import Linearize, RefocusSettings, RestorationSettings
+from napari_defocus.settings import (
+    Linearize,
+    RefocusSettings,
+    RestorationSettings,
+    Side,
+    check_aperture,
+    check_focus,
+    check_noise_variance,
+    check_tv_weight,
+    radius_per_scale,
+)
 
 Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+_LAYER, _MOST_LAYERS = 0.25, 32
+"""Px of blur, before or after, from layer to layer, and how many there are at most."""
 
 
 def change_focus(
@@ -35,17 +51,112 @@ def change_focus(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> Float32:
+    """Focus a picture on something else, or open or close its aperture, afterwards.
+
+    A thin lens blurs what lies at the distance d, when it is focused on s, by the signed radius
+    r = R (1/s - 1/d), positive beyond s, where R is proportional to the aperture's diameter.
+    Focused on s' instead, where r was `focus`, and with the aperture `aperture` times as wide,
+    it blurs the same point by
+
+        r' = aperture (r - focus),
+
+    whatever R, s and d are. (A lens that is focused nearer also makes the picture larger,
+    radii and all, by (1 - f/s) / (1 - f/s') with the focal length f: by 1.02 for 50 mm from 2 m
+    to 1.2 m. The size stays as it is here.) An aperture above 1 magnifies the defocus, as Bae
+    and Durand do [1]_; one below 1 reduces it, and 0 leaves the all-in-focus picture.
+
+    The all-in-focus picture is blurred again as `simulate_layered_defocus` does it: nearer
+    things hide farther ones, and what they hid before is filled from around. The same is done
+    with the old radii, and what is seen in the picture but not in that, such as noise, fine
+    texture and the light of highlights, is added: blurred by sqrt(r'^2 - r^2) where the blur
+    grows, reduced by |r' / r| where it shrinks. So nothing changes where the radius stays, and
+    where it grows, faults of the all-in-focus picture hardly show. Where it shrinks, they do.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        Any real dtype; integers are scaled by their dtype's range, floats are taken as
+        [0, 1]. A fourth channel is opacity.
+    blur_map : (H, W) array_like
+        The family's scale at every pixel, in px, within its domain; such as from
+        `estimate_blur_map`.
+    focus : float, optional
+        The scale, in px, of what shall be sharp: on the chosen side of the old focus, or on the
+        other if negative. If `side` is an array, positive is beyond. That of a distance comes
+        from `blur_from_depth`.
+    aperture : float, optional
+        How many times as wide the blur shall be, from 0 up.
+    side : {"far", "near"} or (H, W) bool array_like, optional
+        Whether what is blurred lies beyond the old focus; for each pixel, True where it does.
+    psf : PSFFamily or callable, optional
+        The family of the map. Half a turn is given to the kernels of what comes to lie on the
+        other side of the focus: it matters for odd numbers of blades.
+    all_in_focus : array_like, optional
+        From `restore_all_in_focus` with the same arguments, in [0, 1], or any other sharp
+        version of the picture. Without it, it is made first, which takes most of the time.
+    noise_variance, confidence, tv_weight
+        See `restore_all_in_focus`; not used if `all_in_focus` is given.
+    linearize : {"srgb"} or None, optional
+        Decode into linear light, restore and blur there, and encode again. Light is what adds
+        up in a lens: highlights become discs, not grey. A highlight that was clipped has the
+        light of white, no more; the discs of a real lens would be brighter.
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    float32 ndarray
+        In [0, 1], of the shape of `image`; a fourth channel is its opacity.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `image` is no picture (see `estimate_candidates`), another array has not its height
+        and width, an argument is of another kind or out of range, or the new radii are larger
+        than the picture's longer side or than a family of your own can be; before any work.
+
+    References
+    ----------
+    .. [1] S. Bae, F. Durand, "Defocus Magnification", Computer Graphics Forum 26(3), 2007.
+
+    Examples
+    --------
+    A far half, blurred by 3 px, that shall be sharp:
+
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import *
+    >>> sharp, radii = camera()[100:200, 200:300], np.full((100, 100), 3.0)
+    >>> radii[50:] = 0
+    >>> picture = simulate_defocus(sharp, radii)
+    >>> refocused = change_focus(picture, radii, focus=3.0)
+    >>> def detail(half):
+    ...     return float(np.abs(np.diff(half)).mean())
+    >>> detail(refocused[:50]) > 2 * detail(picture[:50])
+    True
+    >>> detail(refocused[50:]) < 0.7 * detail(picture[50:])
+    True
+    """
     psf = as_family(psf)
-    picture = prepare_image(image, intensity_range)
-    radius = checked_map(blur_map, picture.shape)
-    if isinstance(side, str):
-        signed = radius if side == "far" else -radius
-        plane = focus if side == "far" else -focus
-    else:
-        signed, plane = np.where(side, radius, -radius), focus
-    new = aperture * np.abs(signed - plane)
-    if all_in_focus is None:
-        all_in_focus = restore_all_in_focus(
+    check_focus(focus)
+    check_aperture(aperture)
+    check_noise_variance(noise_variance)
+    check_tv_weight(tv_weight)
+    picture = prepare_image(image, intensity_range, linearize)
+    scale = checked_scales(blur_map, picture.shape, psf).astype(np.float64)
+    beyond = checked_side(side, picture.shape)
+    plane = -focus if isinstance(side, str) and side == "near" else focus
+    signed = np.where(beyond, scale, -scale)
+    shifted = aperture * (signed - plane)
+    wide = _reaching(psf, float(np.abs(shifted).max()), max(picture.shape), focus, aperture)
+    sharp = None if all_in_focus is None else _checked_sharp(all_in_focus, picture, linearize)
+    if np.array_equal(shifted, signed):
+        progress("Nothing changes", 1.0)
+        return _as_given(picture.color, image, linearize)
+    if sharp is None:
+        restored = restore_all_in_focus(
             image,
             blur_map,
             psf=psf,
@@ -56,9 +167,99 @@ def change_focus(
             intensity_range=intensity_range,
             progress=within(progress, 0.0, 0.8),
         )
-    progress("Blurring again", 0.8)
-    largest = max(float(new.max()), psf.max_scale)
-    if is_dataclass(psf) and hasattr(psf, "max_radius"):
-        psf = replace(psf, max_radius=largest)
-    seen, _ = simulate_layered_defocus(all_in_focus, signed, new, psf=psf, linearize=linearize)
-    return np.clip(seen, 0, 1)
+        sharp = prepare_image(restored, linearize=linearize).color
+        progress = within(progress, 0.8, 1.0)
+    layers = _layers(signed, shifted, within(progress, 0.0, 0.1))
+    # What was sharp came from the chosen side.
+    crossed = layers.mean(np.where(beyond, shifted, -shifted)) < 0
+    change = _Change(layers, np.abs(signed), np.abs(shifted), crossed, wide)
+    seen = _blurred_again(picture, sharp, change, within(progress, 0.1, 1.0, "Blurring again"))
+    progress("Blurring again", 1.0)
+    return _as_given(seen, image, linearize)
+
+
+@dataclass(frozen=True)
+class _Change:
+    """What changes: scales before and after, (H, W), and which layers cross the focus, (L,)."""
+
+    layers: Layers
+    old: Float64
+    new: Float64
+    crossed: NDArray[np.bool_]
+    psf: PSFFamily
+
+    def kernels(self, scale: Float64) -> list[Float64]:
+        """Return each layer's kernel of its mean scale."""
+        return [self.psf.kernel(min(mean, self.psf.max_scale)) for mean in self.layers.mean(scale)]
+
+    def new_kernels(self) -> list[Float64]:
+        """Return each layer's new kernel, turned by half a turn beyond the focus."""
+        return [
+            kernel[::-1, ::-1] if turn else kernel
+            for kernel, turn in zip(self.kernels(self.new), self.crossed, strict=True)
+        ]
+
+
+def _blurred_again(
+    picture: PreparedImage, sharp: Float32, change: _Change, progress: Progress
+) -> Float32:
+    """Blur an all-in-focus picture, and add what the old blur of it does not explain."""
+    layers, old, new = change.layers, change.old, change.new
+    explained = spread_layers(sharp, layers, change.kernels(old), within(progress, 0.0, 1 / 3))
+    seen = spread_layers(sharp, layers, change.new_kernels(), within(progress, 1 / 3, 2 / 3))
+    share = np.divide(new, old, out=np.ones_like(old), where=new < old)
+    if picture.opaque is not None:
+        share = share * picture.opaque
+    left = share[..., None].astype(np.float32) * (picture.color - explained)
+    growth = np.sqrt(np.maximum(new**2 - old**2, 0))
+    return seen + spread_layers(left, layers, change.kernels(growth), within(progress, 2 / 3, 1.0))
+
+
+def _layers(signed: Float64, shifted: Float64, progress: Progress) -> Layers:
+    span = max(float(np.ptp(signed)), float(np.ptp(shifted)))
+    return Layers.cut(signed, int(np.clip(np.ceil(span / _LAYER), 1, _MOST_LAYERS)), progress)
+
+
+def _reaching(
+    psf: PSFFamily, largest: float, longest: int, focus: float, aperture: float
+) -> PSFFamily:
+    """Return the family, for scales up to the largest new one."""
+    found = f"focus is {focus:g} and aperture is {aperture:g}, for blur of up to {largest:g} px"
+    if radius_per_scale(psf) * largest > longest:
+        raise ValueError(f"{found}; it takes radii up to the picture's longer side, {longest} px")
+    if largest <= psf.max_scale:
+        return psf
+    if isinstance(psf, MeasuredPSF):
+        return MeasuredPSF(psf.scales, psf.kernels, max_scale=largest, provenance=psf.provenance)
+    family = cast(Any, psf)
+    for name in ("max_radius", "max_sigma"):
+        if name in getattr(family, "__dataclass_fields__", ()):
+            return cast(PSFFamily, replace(family, **{name: largest}))
+    raise ValueError(f"{found}; {psf!r} takes 0 to {psf.max_scale:g} px: give one that takes more")
+
+
+def _checked_sharp(
+    all_in_focus: ArrayLike, picture: PreparedImage, linearize: Linearize | None
+) -> Float32:
+    try:
+        sharp = prepare_image(all_in_focus, linearize=linearize).color
+    except (TypeError, ValueError) as error:
+        raise type(error)(str(error).replace("image", "all_in_focus", 1)) from None
+    if sharp.shape != picture.color.shape:
+        raise ValueError(
+            f"all_in_focus has height, width and channels {sharp.shape}; "
+            f"it takes the picture's, {picture.color.shape}"
+        )
+    return sharp
+
+
+def _as_given(light: Float32, image: ArrayLike, linearize: Linearize | None) -> Float32:
+    """Return light as a picture of the shape of the given one, with its opacity."""
+    color = np.clip(encode_srgb(light) if linearize == "srgb" else light, 0, 1)
+    given = np.asarray(image)
+    if given.ndim == 2:
+        return color[..., 0]
+    if given.shape[2] == 4:
+        whole = np.iinfo(given.dtype).max if given.dtype.kind in "ui" else 1
+        return np.dstack([color, np.clip(given[..., 3] / whole, 0, 1).astype(np.float32)])
+    return color

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from numbers import Real
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:
     from napari_defocus.psf import PSFFamily
@@ -196,11 +197,11 @@ class RefocusSettings:
     Attributes
     ----------
     focus : float
-        The blur, in px, of what shall be sharp.
+        The blur, in px, of what shall be sharp; negative on the other side of the old focus.
     aperture : float
         How many times as wide the blur shall be.
     side : {"far", "near"}
-        On which side of the focus everything blurred lies.
+        On which side of the old focus everything blurred lies.
     linearize : {"srgb"} or None
         Decode into linear light, blur there, and encode again.
     """
@@ -209,6 +210,35 @@ class RefocusSettings:
     aperture: float = 1.0
     side: Side = "far"
     linearize: Linearize | None = "srgb"
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_focus(self.focus)
+        check_aperture(self.aperture)
+        check_side(self.side)
+        check_linearize(self.linearize)
+
+
+def check_focus(focus: Any) -> None:
+    """Check the scale that shall be sharp, in px."""
+    if not isinstance(focus, Real):
+        raise TypeError(f"focus is {focus!r}; it takes a finite number of px")
+    if not math.isfinite(focus):
+        raise ValueError(f"focus is {focus}; it takes a finite number of px")
+
+
+def check_aperture(aperture: Any) -> None:
+    """Check the factor of all blur."""
+    if not isinstance(aperture, Real):
+        raise TypeError(f"aperture is {aperture!r}; it takes a finite number from 0 up")
+    if not 0 <= float(aperture) < math.inf:
+        raise ValueError(f"aperture is {aperture}; it takes a finite number from 0 up")
+
+
+def check_side(side: str) -> None:
+    """Check the name of a side of the focus."""
+    if side not in get_args(Side):
+        raise ValueError(f"side is {side!r}; it takes one of {get_args(Side)}")
 
 
 def check_tv_weight(tv_weight: float | None) -> None:
