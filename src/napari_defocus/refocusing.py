@@ -93,9 +93,11 @@ def change_focus(
         other side of the focus: it matters for odd numbers of blades.
     all_in_focus : array_like, optional
         From `restore_all_in_focus` with the same arguments, in [0, 1], or any other sharp
-        version of the picture. Without it, it is made first, which takes most of the time.
+        version of the picture. Without it, it is made first, which takes most of the time. For
+        a map that is estimated, one of `cautious_blur_map` is better.
     noise_variance, confidence, tv_weight
-        See `restore_all_in_focus`; not used if `all_in_focus` is given.
+        See `restore_all_in_focus`; not used if `all_in_focus` is given. The confidence is 1
+        everywhere if left out.
     linearize : {"srgb"} or None, optional
         Decode into linear light, restore and blur there, and encode again. Light is what adds
         up in a lens: highlights become discs, not grey. A highlight that was clipped has the
@@ -156,12 +158,14 @@ def change_focus(
         progress("Nothing changes", 1.0)
         return _as_given(picture.color, image, linearize)
     if sharp is None:
+        # With a confidence, less blur is taken away where two depths meet.
+        sure = np.ones(picture.shape, np.float32) if confidence is None else confidence
         restored = restore_all_in_focus(
             image,
             blur_map,
             psf=psf,
             noise_variance=noise_variance,
-            confidence=confidence,
+            confidence=sure,
             tv_weight=tv_weight,
             linearize=linearize,
             intensity_range=intensity_range,

@@ -219,7 +219,9 @@ def refocus(
         facts = picture_facts(image, outputs, found, settings)
         facts |= file_facts(found) | map_facts(found) | change
         restoring = within(second, 0.0, _RESTORING_SHARE)
-        sharp = _restored(picture, found, noise, weight, risk, light, intensity_range, restoring)
+        sharp = _restored(
+            picture, _sure(found), noise, weight, risk, light, intensity_range, restoring
+        )
         changed = napari_defocus.change_focus(
             picture,
             _without_gaps(found).blur_map,
@@ -326,6 +328,15 @@ def _noise_variance(
     return napari_defocus.estimate_noise_variance(
         picture, linearize=linearize, intensity_range=intensity_range
     )
+
+
+def _sure(found: Measurement) -> Measurement:
+    """Return full confidence where none is known, as `change_focus` has it."""
+    import numpy as np
+
+    if found.confidence is not None:
+        return found
+    return replace(found, confidence=np.ones(found.image_shape, np.float32))
 
 
 def _without_gaps(found: Measurement) -> Measurement:
