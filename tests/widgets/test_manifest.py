@@ -88,3 +88,11 @@ def test_import_stays_light(module, unwanted):
     code = f"import sys, {module}; print(*(m for m in {unwanted} if m in sys.modules))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == []
+
+
+def test_what_the_manifest_names_is_loaded_when_it_is_used():
+    modules = sorted({command.python_name.split(":")[0] for command in CONTRIBUTIONS.commands})
+    heavy = ("napari.components", "napari.layers", "magicgui", "qtpy", "numba", "maxflow")
+    code = f"import sys, {', '.join(modules)}; print(*(m for m in {heavy} if m in sys.modules))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == []

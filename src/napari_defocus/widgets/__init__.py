@@ -1,1 +1,26 @@
-"""The napari side: widgets, sample data, and layers in and out."""
+"""The napari side: widgets, sample data, and layers in and out.
+
+What the manifest names is loaded when it is first used: napari starts without it.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_HOME_OF = {
+    "AllInFocusWidget": "all_in_focus",
+    "BlurMapWidget": "blur_map",
+    "CalibrateWidget": "calibrate",
+    "ChangeFocusWidget": "change_focus",
+    "DepthWidget": "depth",
+    "InFocusWidget": "in_focus",
+    "MapAndMaskWidget": "map_and_mask",
+    "brushes": "samples",
+    "dandelion": "samples",
+    "simulated_ramp": "samples",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)

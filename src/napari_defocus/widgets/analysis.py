@@ -76,7 +76,7 @@ class Analysis:
         picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
         estimating = within(progress, 0.0, ESTIMATION_SHARE)
-        candidates = estimated_candidates(picture, self.estimation, kept.candidates, estimating)
+        candidates = estimated_candidates(picture, self.estimation, kept, estimating)
         steps = [self._map_layers] * self.blur_map + [self._mask_layers] * (self.mask is not None)
         share = (1.0 - ESTIMATION_SHARE) / len(steps)
         starts = [ESTIMATION_SHARE + share * n for n in range(len(steps))]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from napari_defocus.other_process import run_elsewhere
 from napari_defocus.progress import Progress, within
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.kept import Kept, KeptWork, fingerprint
+from napari_defocus.widgets.kept import KeptWork, fingerprint
 from napari_defocus.widgets.layers import Plane
 
 if TYPE_CHECKING:
@@ -83,8 +83,28 @@ class EstimatedMap:
     psf: PSFFamily
 
 
+@dataclass(frozen=True, eq=False)
+class Analysed:
+    """What is known of a plane.
+
+    Attributes
+    ----------
+    picture : Picture
+    settings : MapSettings
+        What it was estimated with.
+    candidates : BlurCandidates
+    blur_map : EstimatedMap or None
+        None if none was made yet with these settings.
+    """
+
+    picture: Picture
+    settings: MapSettings
+    candidates: BlurCandidates
+    blur_map: EstimatedMap | None = None
+
+
 def estimated_candidates(
-    picture: Picture, settings: MapSettings, kept: Kept[BlurCandidates], progress: Progress
+    picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
 ) -> BlurCandidates:
     """Return the candidates of a picture: those of an earlier run, if nothing has changed."""
     from napari_defocus import estimate_candidates, estimate_shot_noise
@@ -108,7 +128,11 @@ def estimated_candidates(
             progress=progress,
         )
 
-    return kept.get(picture.plane.layer, _candidates_key(picture, settings), estimate)
+    layer, key = picture.plane.layer, _candidates_key(picture, settings)
+    candidates = kept.candidates.get(layer, key, estimate)
+    if kept.analysed.known(layer, key) is None:
+        kept.analysed.keep(layer(), key, Analysed(picture, settings, candidates))
+    return candidates
 
 
 def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
@@ -141,11 +165,13 @@ def estimated_map(
     """Return the blur map of a picture: that of an earlier run, if nothing has changed."""
     from napari_defocus import cautious_blur_map, confidence_map
 
+    layer = picture.plane.layer
+
     def estimate() -> EstimatedMap:
-        known = kept.candidates.known(picture.plane.layer, _candidates_key(picture, settings))
+        known = kept.candidates.known(layer, _candidates_key(picture, settings))
         share = 0.0 if known else ESTIMATION_SHARE
         estimating = within(progress, 0.0, share)
-        candidates = estimated_candidates(picture, settings, kept.candidates, estimating)
+        candidates = estimated_candidates(picture, settings, kept, estimating)
         labelling = within(progress, share, 1.0)
         values = labelled_map(candidates, picture, settings, labelling)
         progress("Measuring the confidence", 1.0)
@@ -153,7 +179,12 @@ def estimated_map(
         safe = cautious_blur_map(candidates, values)
         return EstimatedMap(values, safe, confidence, candidates.noise_variance, candidates.psf)
 
-    return kept.maps.get(picture.plane.layer, _key(picture, settings), estimate)
+    found = kept.maps.get(layer, _key(picture, settings), estimate)
+    key = _candidates_key(picture, settings)
+    candidates = kept.candidates.known(layer, key)
+    if candidates is not None:
+        kept.analysed.keep(layer(), key, Analysed(picture, settings, candidates, found))
+    return found
 
 
 def known_map(picture: Picture, settings: MapSettings, kept: KeptWork) -> EstimatedMap | None:

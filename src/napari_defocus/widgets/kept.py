@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from napari_defocus import BlurCandidates
-    from napari_defocus.widgets.estimation import EstimatedMap
+    from napari_defocus.widgets.estimation import Analysed, EstimatedMap
 
 T = TypeVar("T")
 
@@ -60,7 +60,7 @@ class Kept(Generic[T]):
         found = self.known(layer, key)
         if found is None:
             found = find()
-            self._keep(layer(), key, found)
+            self.keep(layer(), key, found)
         return found
 
     def known(self, layer: weakref.ref[Image], key: Hashable) -> T | None:
@@ -75,7 +75,14 @@ class Kept(Generic[T]):
             self._kept.move_to_end(weakref.ref(living))
             return found
 
-    def _keep(self, layer: Image | None, key: Hashable, found: T) -> None:
+    def latest(self, layer: Image) -> T | None:
+        """Return what was found of a layer last, whatever of."""
+        with self._lock:
+            _, found = self._kept.get(weakref.ref(layer), (None, None))
+            return found
+
+    def keep(self, layer: Image | None, key: Hashable, found: T) -> None:
+        """Keep something of a layer, if it still lives, instead of what was kept of it."""
         if layer is None:
             return
         with self._lock:
@@ -99,12 +106,15 @@ class KeptWork:
     maps : Kept of EstimatedMap
     restored : Kept of float32 ndarray
         All-in-focus pictures.
+    analysed : Kept of Analysed
+        All that is known of the plane that was analysed last, for whoever explains it.
     """
 
     def __init__(self) -> None:
         self.candidates: Kept[BlurCandidates] = Kept()
         self.maps: Kept[EstimatedMap] = Kept()
         self.restored: Kept[NDArray[np.float32]] = Kept()
+        self.analysed: Kept[Analysed] = Kept()
 
 
 def fingerprint(image: NDArray[Any]) -> str:
