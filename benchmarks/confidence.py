@@ -20,6 +20,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.optimize import minimize
 
 from napari_defocus import Disc, confidence, estimate_candidates, label_blur_map, simulate_defocus
+from napari_defocus.evidence import averaged_curve
 
 DOMAIN, BEYOND = 8.0, 12.0
 
@@ -77,9 +78,10 @@ def scene(kind: str, picture: np.ndarray, truth: np.ndarray) -> Scene:
     blur_map = label_blur_map(candidates, picture)
     jump = maximum_filter(blur_map, 31) - minimum_filter(blur_map, 31)
     radius, jump = at_windows(blur_map, candidates), at_windows(jump, candidates)
-    share, prior, depth = confidence.likelihood_share(candidates, radius)
+    curve = averaged_curve(candidates)
+    share, prior, depth = confidence.likelihood_share(candidates, curve, radius)
     right = np.abs(radius - at_windows(truth, candidates)) <= confidence.TOLERANCE
-    stated = confidence.window_confidence(candidates, radius, jump)
+    stated = confidence.window_confidence(candidates, curve, radius, jump)
     return Scene(kind, share, prior, confidence.informed_share(depth), jump, right, stated)
 
 

@@ -24,7 +24,6 @@ from pictures import middle
 
 from napari_defocus import BlurCandidates, estimate_candidates
 from napari_defocus.boundaries import Blocks, label_pixels, pixel_weights
-from napari_defocus.evidence import on_own_side
 from napari_defocus.graphcut import (
     energy_of,
     expand_until_settled,
@@ -32,8 +31,9 @@ from napari_defocus.graphcut import (
     minimize_energy,
     solve_exactly,
 )
-from napari_defocus.image import PreparedImage, prepare_image
-from napari_defocus.labeling import JUMP, REACH, data_term
+from napari_defocus.image import PreparedImage
+from napari_defocus.labeling import CURVE_WEIGHT, JUMP, REACH
+from napari_defocus.scene import Scene
 from napari_defocus.settings import MapSettings
 
 SMOOTHNESS, COLOR_SIGMA = MapSettings.smoothness, MapSettings.color_sigma
@@ -81,12 +81,8 @@ class Problem:
 
     @classmethod
     def of(cls, picture: np.ndarray) -> "Problem":
-        prepared = prepare_image(picture, None)
-        candidates = on_own_side(estimate_candidates(picture), prepared)
-        blocks = Blocks.around(
-            candidates.row_centers, candidates.column_centers, candidates.image_shape
-        )
-        return cls(candidates, prepared, blocks, data_term(candidates))
+        scene = Scene.of(estimate_candidates(picture), picture)
+        return cls(scene.own, scene.picture, scene.blocks, scene.cost(CURVE_WEIGHT))
 
     def of_windows(self) -> tuple[np.ndarray, np.ndarray]:
         """Return costs and weights of the grid of windows."""

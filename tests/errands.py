@@ -25,6 +25,13 @@ def endless(*, progress):
     time.sleep(60)
 
 
+def reporting(*, progress):
+    """Report often, without end."""
+    while True:
+        progress("at work", 0.5)
+        time.sleep(0.01)
+
+
 def dying(how, *, progress):
     how(os.getpid())
 

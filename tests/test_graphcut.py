@@ -20,7 +20,8 @@ from napari_defocus.graphcut import (
     minimize_energy,
     solve_exactly,
 )
-from napari_defocus.labeling import data_term
+from napari_defocus.labeling import CURVE_WEIGHT
+from napari_defocus.scene import data_term
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -182,7 +183,7 @@ def test_labels_of_a_real_blur_map_are_within_a_thousandth_of_the_optimum(
     blocks = Blocks.around(
         candidates.row_centers, candidates.column_centers, candidates.image_shape
     )
-    data = data_term(candidates) * blocks.area[..., None]
+    data = CURVE_WEIGHT * data_term(candidates) * blocks.area[..., None]
     weights = blocks.edge_weights(picture.reshape(160, 160, -1), 0.1, 20.0)
     assert excess(minimize(data, weights), data, weights) < 1e-3
 

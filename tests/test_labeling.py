@@ -12,11 +12,10 @@ from napari_defocus import (
     estimate_candidates,
     evidence,
     label_blur_map,
-    labeling,
     labeling_energy,
 )
 from napari_defocus.boundaries import Blocks
-from napari_defocus.labeling import KAPPA, artificial_likelihood, data_term
+from napari_defocus.scene import KAPPA, artificial_likelihood, data_term
 
 TEXTURES = pytest.mark.parametrize("texture", ["grass", "gravel", "clouds"])
 
@@ -270,7 +269,7 @@ def test_data_term_of_the_curve_is_limited_and_0_at_its_maximum(ramp_picture):
     cost = data_term(candidates)
     np.testing.assert_array_equal(cost.argmin(axis=2), candidates.curve.argmax(axis=2))
     assert cost.min() == 0
-    assert cost.max() <= labeling._CURVE_WEIGHT * evidence._DEPTH
+    assert cost.max() <= evidence._DEPTH
 
 
 def test_blur_map_of_an_unknown_mode_is_a_value_error():
@@ -292,9 +291,9 @@ def test_energy_is_the_sum_over_pixels_and_their_pairs(clouds, defocused, mode):
     labels = np.rint(10 * blur_map).astype(int)
     blocks = Blocks.around(candidates.row_centers, candidates.column_centers, (45, 62))
     at = np.meshgrid(*blocks.positions, indexing="ij")
-    cost = np.stack(
-        [map_coordinates(each, at, order=1) for each in np.moveaxis(data_term(candidates), 2, 0)]
-    )
+    weight = 24 if mode == "curve" else 1
+    data = weight * np.moveaxis(data_term(candidates), 2, 0)
+    cost = np.stack([map_coordinates(each, at, order=1) for each in data])
     expected = np.take_along_axis(cost, labels[None], 0).sum()
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
         here = (slice(0, 45 - down), slice(max(0, -right), 62 - max(0, right)))

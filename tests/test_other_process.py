@@ -100,7 +100,7 @@ def test_errors_come_back_with_type_message_and_origin(candidates, picture):
 
 
 @pytest.mark.parametrize("step", [other_process.FIRST_STEP, "at work"])
-def test_cancelling_ends_the_process_at_once(step):
+def test_cancelling_ends_a_process_that_says_nothing(step):
     pid = run_elsewhere(errands.process_id)
     seen = []
 
@@ -114,6 +114,33 @@ def test_cancelling_ends_the_process_at_once(step):
     assert time.monotonic() - seen[-1] < 0.5
     assert not is_running(pid)
     assert run_elsewhere(errands.process_id) != pid
+
+
+def test_cancelling_leaves_a_process_that_reports_for_the_next_call():
+    pid = run_elsewhere(errands.process_id)
+    seen = []
+
+    def cancel_later(name, done):
+        seen.append(time.monotonic())
+        if len(seen) > 10:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run_elsewhere(errands.reporting, progress=cancel_later)
+    assert time.monotonic() - seen[-1] < 0.3
+    assert run_elsewhere(errands.process_id) == pid
+    np.testing.assert_array_equal(run_elsewhere(errands.doubled, np.ones(3)), [2, 2, 2])
+
+
+@pytest.mark.usefixtures("_none_is_kept")
+def test_process_can_be_started_before_it_is_needed_and_ended_when_it_is_not():
+    other_process.prepare_elsewhere(errands.process_id)
+    wait_until(lambda: other_process._idle)
+    [helper] = other_process._idle
+    pid = run_elsewhere(errands.process_id)
+    assert pid == helper._process.pid
+    other_process.end_idle()
+    assert not is_running(pid)
 
 
 def test_caller_is_asked_often_while_the_other_process_says_nothing():

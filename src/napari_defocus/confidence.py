@@ -70,7 +70,8 @@ def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     (100, 100)
     """
     radius = checked_map(blur_map, candidates.image_shape)
-    probability = window_confidence(candidates, *_at_windows(candidates, radius))
+    places = _at_windows(candidates, radius)
+    probability = window_confidence(candidates, averaged_curve(candidates), *places)
     return np.clip(_between_windows(probability, candidates), 0, 1)
 
 
@@ -116,25 +117,44 @@ def cautious_blur_map(
     >>> bool((cautious_blur_map(candidates, blur_map) <= blur_map).all())
     True
     """
+    return confidence_and_caution(candidates, blur_map, risk=risk)[1]
+
+
+def confidence_and_caution(
+    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = RestorationSettings.risk
+) -> tuple[Float32, Float32]:
+    """Return `confidence_map` and `cautious_blur_map` for the time of one: see there."""
     check_risk(risk)
     radius = checked_map(blur_map, candidates.image_shape)
     at_windows, jump = _at_windows(candidates, radius)
-    sure = window_confidence(candidates, at_windows, jump)
     curve = averaged_curve(candidates)
+    sure = window_confidence(candidates, curve, at_windows, jump)
+    excess = np.maximum(at_windows - _safe_at_windows(candidates, curve, at_windows, sure, risk), 0)
+    excess = gaussian_filter(excess, _CAUTION_SIGMA / candidates.stride)
+    return (
+        np.clip(_between_windows(sure, candidates), 0, 1),
+        np.maximum(radius - _between_windows(excess, candidates), 0),
+    )
+
+
+def _safe_at_windows(
+    candidates: BlurCandidates, curve: Float32, radius: Float64, sure: Float64, risk: float
+) -> Float64:
+    """Return the smallest radius that the true one is below with a probability of at most risk."""
     likelihood = np.exp(_TEMPER * (curve - curve.max(axis=2, keepdims=True)))
-    away = candidates.scales - at_windows[..., None]
+    away = candidates.scales - radius[..., None]
     likelihood *= np.abs(away) > TOLERANCE + _ROUNDING
     likelihood *= ((1 - sure) / np.maximum(likelihood.sum(axis=2), _LEAST_ODDS))[..., None]
     below = np.cumsum(np.where(away < 0, likelihood, 0), axis=2)
     reached = below >= risk
-    safe = np.where(reached.any(axis=2), candidates.scales[reached.argmax(axis=2)], at_windows)
-    excess = gaussian_filter(np.maximum(at_windows - safe, 0), _CAUTION_SIGMA / candidates.stride)
-    return np.maximum(radius - _between_windows(excess, candidates), 0)
+    return np.where(reached.any(axis=2), candidates.scales[reached.argmax(axis=2)], radius)
 
 
-def window_confidence(candidates: BlurCandidates, radius: Float64, jump: Float64) -> Float64:
+def window_confidence(
+    candidates: BlurCandidates, curve: Float32, radius: Float64, jump: Float64
+) -> Float64:
     """Return the confidence at the windows, (R, C), for the map's values and jumps there."""
-    share, prior, depth = likelihood_share(candidates, radius)
+    share, prior, depth = likelihood_share(candidates, curve, radius)
     odds = np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS))
     logit = _WEIGHT_OF_MASS * odds + _WEIGHT_OF_JUMP * np.log(jump + _LEAST_JUMP) + _BIAS
     informed = informed_share(depth)
@@ -142,9 +162,9 @@ def window_confidence(candidates: BlurCandidates, radius: Float64, jump: Float64
 
 
 def likelihood_share(
-    candidates: BlurCandidates, radius: Float64
+    candidates: BlurCandidates, curve: Float32, radius: Float64
 ) -> tuple[Float64, Float64, Float64]:
-    """Return what share of the likelihood agrees with a radius, for each window: (R, C) each.
+    """Return what share of the averaged likelihood agrees with a radius: (R, C) each.
 
     Returns
     -------
@@ -155,7 +175,6 @@ def likelihood_share(
     depth : ndarray
         Of the averaged curve, from its top to its bottom, at most 15.
     """
-    curve = averaged_curve(candidates)
     top = curve.max(axis=2, keepdims=True)
     likelihood = np.exp(_TEMPER * (curve - top))
     agrees = np.abs(candidates.scales - radius[..., None]) <= TOLERANCE + _ROUNDING

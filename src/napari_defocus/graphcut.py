@@ -68,7 +68,9 @@ _CLOSE = _Sweep(reach=1, grow=1, step=1)
 _FAR = _Sweep(reach=16, grow=6, step=4)
 
 
-def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent) -> Labels:
+def minimize_energy(
+    data: Float32, weights: Float32, progress: Progress = silent, *, coarse: bool = False
+) -> Labels:
     """Find labels of low energy, from coarse to fine.
 
     Parameters
@@ -78,6 +80,8 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
     weights : (4, R, C) float32 ndarray
         w between a node and its neighbour at each of `STEPS`; 0 where there is none.
     progress : callable, optional
+    coarse : bool, optional
+        Stop before the finest grid: two by two nodes have a label in common.
 
     Returns
     -------
@@ -91,9 +95,11 @@ def minimize_energy(data: Float32, weights: Float32, progress: Progress = silent
         rows, columns = level_data.shape[:2]
         start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns] if depth > 1 else labels
         # Each level has four times the nodes of the one before it.
+        finest = depth == len(levels)
+        if finest and coarse and depth > 1:
+            return np.ascontiguousarray(start)
         report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
-        coarse = depth < len(levels)
-        labels = improve(start, level_data, level_weights, everywhere=coarse, progress=report)
+        labels = improve(start, level_data, level_weights, everywhere=not finest, progress=report)
     progress(_STEP, 1.0)
     return labels
 

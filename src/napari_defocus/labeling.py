@@ -13,28 +13,20 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.boundaries import (
-    Blocks,
-    energy_of_pixels,
-    interpolate_labels,
-    label_pixels,
-)
+from napari_defocus.boundaries import energy_of_pixels, interpolate_labels, label_pixels
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
 from napari_defocus.confidence import checked_map
-from napari_defocus.evidence import evidence_share, limited_depth, on_own_side
+from napari_defocus.evidence import evidence_share
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
-from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.noise import ShotNoise
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.refinement import refine_labels
+from napari_defocus.scene import Scene
 from napari_defocus.settings import Linearize, MapSettings, Mode, check_weights
 from napari_defocus.spectrum import LABEL_STEP
 
 Float32 = NDArray[np.float32]
-
-KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
-"""The kernel that widens candidates into an artificial likelihood (Section III-B)."""
 
 JUMP = 4
 """The smallest difference of labels that counts as a discontinuity of the blur."""
@@ -42,39 +34,11 @@ JUMP = 4
 REACH = 6
 """How far, in px, a discontinuity may be moved off the blocks at once."""
 
-LIKELIHOOD_FLOOR = 1e-24
-"""The artificial likelihood of scales that no candidate reaches, instead of 0."""
+CURVE_WEIGHT = np.float32(24)
+"""Of the curves' depth as data term, against the penalty (15)."""
 
-_CURVE_WEIGHT = np.float32(24)
 _LEAST_SMOOTHNESS = 1e-12
 _CARRIED_IN = 0.5
-
-
-def data_term(candidates: BlurCandidates, curve_weight: np.float32 = _CURVE_WEIGHT) -> Float32:
-    """Return D of (14): the cost of each of `candidates.scales` at each window, (R, C, L).
-
-    In the mode "paper", -log of the artificial likelihood; in "curve", `curve_weight` times the
-    limited depth.
-    """
-    if candidates.mode == "paper":
-        return -np.log(artificial_likelihood(candidates)).astype(np.float32)
-    return curve_weight * limited_depth(candidates)
-
-
-def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
-    """Return p~ of Section III-B: the three candidates widened by kappa, sum 1, (R, C, L)."""
-    present = np.isfinite(candidates.radii)
-    known = np.where(present, candidates.log_likelihoods, 0).astype(np.float64)
-    height = np.where(present, np.exp(known - known[..., :1]), 0)
-    label = np.rint(np.where(present, candidates.radii, 0) / LABEL_STEP).astype(int)
-    count, reach = len(candidates.scales), len(KAPPA) // 2
-    likelihood = np.zeros((*label.shape[:2], count + 2 * reach))
-    rows, columns = np.indices(label.shape[:2])
-    for k in range(label.shape[2]):
-        for tap, weight in enumerate(KAPPA):
-            likelihood[rows, columns, label[..., k] + tap] += weight * height[..., k]
-    likelihood = np.maximum(likelihood[..., reach:-reach], LIKELIHOOD_FLOOR)
-    return likelihood / likelihood.sum(axis=2, keepdims=True)
 
 
 @overload
@@ -172,21 +136,37 @@ def label_blur_map(
     3.0
     """
     check_weights(smoothness, color_sigma)
-    picture = picture_of(candidates, image, intensity_range)
-    progress("Making the map coherent", 0.0)
-    candidates = on_own_side(candidates, picture)
-    blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
-    cost = data_term(candidates)
+    scene = Scene.of(candidates, image, intensity_range)
+    blur_map = blur_map_of_scene(
+        scene, smoothness=smoothness, color_sigma=color_sigma, progress=progress
+    )
+    if not return_carried_in:
+        return blur_map
+    return blur_map, scene.blocks.spread(evidence_share(scene.own) < _CARRIED_IN)
+
+
+def blur_map_of_scene(
+    scene: Scene,
+    *,
+    smoothness: float = MapSettings.smoothness,
+    color_sigma: float = MapSettings.color_sigma,
+    progress: Progress = silent,
+) -> Float32:
+    """Do the work of `label_blur_map`, which see, on a scene."""
+    candidates, blocks, color = scene.own, scene.blocks, scene.picture.color
+    step = "Making the map coherent"
+    progress(step, 0.0)
+    cost = scene.cost(CURVE_WEIGHT)
     block_cost = cost * blocks.area[..., None]
-    weights = blocks.edge_weights(picture.color, color_sigma, smoothness)
+    weights = blocks.edge_weights(color, color_sigma, smoothness)
     minimize = expand_until_settled if candidates.mode == "paper" else minimize_energy
-    labels = minimize(block_cost, weights, within(progress, 0.0, 0.7, "Making the map coherent"))
+    labels = minimize(block_cost, weights, within(progress, 0.0, 0.7, step))
     progress("Following the picture's edges", 0.7)
     pixels = label_pixels(
         labels,
         cost,
         blocks,
-        picture.color,
+        color,
         smoothness=smoothness,
         color_sigma=color_sigma,
         jump=JUMP,
@@ -195,16 +175,34 @@ def label_blur_map(
     )
     scales = np.float32(LABEL_STEP) * labels
     if candidates.mode == "curve":
-        pairs = blocks.edge_weights(np.zeros_like(picture.color), color_sigma, 1.0)
+        pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
         likeness = weights / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
         scales = refine_labels(
             candidates, labels, likeness, JUMP, smoothness, within(progress, 0.9, 1.0)
         )
     progress("Smoothing out the steps", 1.0)
-    blur_map = interpolate_labels(scales, labels, pixels, blocks, JUMP)
-    if not return_carried_in:
-        return blur_map
-    return blur_map, blocks.spread(evidence_share(candidates) < _CARRIED_IN)
+    return interpolate_labels(scales, labels, pixels, blocks, JUMP)
+
+
+def preview_of_blur_map(
+    scene: Scene,
+    *,
+    smoothness: float = MapSettings.smoothness,
+    color_sigma: float = MapSettings.color_sigma,
+    progress: Progress = silent,
+) -> Float32:
+    """Return about what `blur_map_of_scene` will, in a tenth of its time: without fine detail.
+
+    Labels are chosen for blocks of twice the windows' spacing, and interpolated.
+    """
+    check_weights(smoothness, color_sigma)
+    progress("Preview", 0.0)
+    blocks = scene.blocks
+    weights = blocks.edge_weights(scene.picture.color, color_sigma, smoothness)
+    cost = scene.cost(CURVE_WEIGHT) * blocks.area[..., None]
+    labels = minimize_energy(cost, weights, within(progress, 0.0, 1.0, "Preview"), coarse=True)
+    scales = np.float32(LABEL_STEP) * labels
+    return interpolate_labels(scales, labels, blocks.spread(labels), blocks, JUMP)
 
 
 def estimate_blur_map(
@@ -335,26 +333,12 @@ def labeling_energy(
             f"blur_map holds {scales.min():g} to {scales.max():g}; it takes scales from 0 to "
             f"{largest:g} px, those of the candidates"
         )
-    picture = picture_of(candidates, image, intensity_range)
-    candidates = on_own_side(candidates, picture)
+    scene = Scene.of(candidates, image, intensity_range)
     return energy_of_pixels(
         labels.astype(np.int32),
-        data_term(candidates),
-        Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape),
-        picture.color,
+        scene.cost(CURVE_WEIGHT),
+        scene.blocks,
+        scene.picture.color,
         smoothness=smoothness,
         color_sigma=color_sigma,
     )
-
-
-def picture_of(
-    candidates: BlurCandidates, image: ArrayLike, intensity_range: tuple[float, float] | None
-) -> PreparedImage:
-    """Prepare the picture that candidates came from, or say that it is another one."""
-    picture = prepare_image(image, intensity_range)
-    if picture.shape != candidates.image_shape:
-        raise ValueError(
-            f"image is {picture.shape[0]} x {picture.shape[1]} px; these candidates are of a "
-            f"picture of {candidates.image_shape[0]} x {candidates.image_shape[1]} px"
-        )
-    return picture

@@ -5,9 +5,12 @@ stops all others, a window's too. The other process is a plain Python that impor
 and nothing of the caller's. It is kept for the next call, and ends when its parent does: at once,
 or after the cut that it is in if the parent was killed.
 
+Work that is no longer wanted ends at its next report; if it makes none for a while, its process
+ends.
+
 A message is a pickle and the arrays in it, as they lie in memory: their number, their sizes in
 bytes, and they themselves. One that begins a call is (function, args, keywords); the answers are
-pairs of a word and what it is about.
+pairs of a word and what it is about. In between, the caller may send the word that stops the call.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -30,7 +34,7 @@ from typing import IO, Any, TypeVar, cast
 
 import numpy as np
 
-from napari_defocus.progress import Progress, silent
+from napari_defocus.progress import Cancelled, Progress, silent
 
 Result = TypeVar("Result")
 Message = list[memoryview]
@@ -46,6 +50,9 @@ _PIECE = 2**20
 _PIPE = 2**20
 """Bytes that wait to be read: with Linux' 64 KiB, 250 MB take up to 1.6 s, so 0.2 s."""
 
+_GRACE = 0.3
+"""Seconds that a call has to end at one of its reports, once it is not wanted any more."""
+
 _LAST_WORDS = 1.0
 """Seconds that a process whose pipe is closed has to end by itself."""
 
@@ -56,6 +63,7 @@ _KILLED = getattr(signal, "SIGKILL", 9)
 
 _NUMBER = struct.Struct("<Q")
 _READY = b"ready"
+_STOP = b"stop"
 _START = """
 import sys
 sys.path[:] = {path!r}
@@ -83,7 +91,8 @@ def run_elsewhere(
         Its other arguments.
     progress : callable, optional
         Called as ``progress(step, done)`` in the calling thread: with every report, and with the
-        last one again at least every 0.1 s. An exception from it ends the other process at once.
+        last one again at least every 0.1 s. An exception from it ends the work: at its next
+        report, or with its process if there is none within 0.3 s.
 
     Returns
     -------
@@ -109,7 +118,10 @@ def run_elsewhere(
     try:
         word, about = helper.answer(request, progress)
     except BaseException:
-        helper.end()
+        if helper.stop():
+            _keep_one(helper)
+        else:
+            helper.end()
         raise
     _keep_one(helper)
     if word == "refused":
@@ -131,6 +143,7 @@ class _Helper:
         self._requests = process.stdin
         self._messages: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
         self._has_started = False
+        self._is_working = False
         threading.Thread(target=self._listen, args=(process.stdout,), daemon=True).start()
 
     @property
@@ -146,13 +159,37 @@ class _Helper:
             return "refused", None
         self._has_started = True
         self._send(request, report)
+        self._is_working = True
         while (message := self._next(report)) is not None:
             word, about = _unpacked(message)
             if word != "report":
+                self._is_working = False
                 return word, about
             report = partial(progress, *about)
             report()
         raise self._reason_of_end()
+
+    def stop(self) -> bool:
+        """Ask the call to end at its next report, and return whether it has."""
+        if not self._is_working:
+            return False
+        try:
+            for piece in _pieces([memoryview(_STOP)]):
+                _write(self._requests, piece)
+        except OSError:
+            return False
+        give_up = time.monotonic() + _GRACE
+        while (left := give_up - time.monotonic()) > 0:
+            try:
+                message = self._messages.get(timeout=left)
+            except queue.Empty:
+                return False
+            if message is None:
+                return False
+            if _unpacked(message)[0] != "report":
+                self._is_working = False
+                return True
+        return False
 
     def end(self) -> None:
         """End the process at once."""
@@ -240,6 +277,28 @@ def _keep_one(helper: _Helper) -> None:
             helper.end()
 
 
+def prepare_elsewhere(function: Callable[..., Any], *args: Any) -> None:
+    """Run a function in another process without waiting for it: the next call finds it ready.
+
+    Parameters
+    ----------
+    function : callable
+        As for `run_elsewhere`: something that loads what the next call needs.
+    *args
+        Its other arguments.
+    """
+    with _lock:
+        if not _all:
+            threading.Thread(target=run_elsewhere, args=(function, *args), daemon=True).start()
+
+
+def end_idle() -> None:
+    """End the process that waits for the next call, if one does."""
+    with _lock:
+        while _idle:
+            _idle.pop().end()
+
+
 @atexit.register
 def _end_all() -> None:
     with _lock:
@@ -259,11 +318,16 @@ def serve() -> None:
         os.dup2(nowhere, stream)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C in a terminal is the parent's matter
     received: queue.SimpleQueue[Message] = queue.SimpleQueue()
+    stopped = threading.Event()
 
     def listen() -> None:
         try:
             while (message := _read(requests)) is not None:
-                received.put(message)
+                if message == [_STOP]:
+                    stopped.set()
+                else:
+                    stopped.clear()
+                    received.put(message)
         except MemoryError:
             os._exit(_NO_MEMORY)
         os._exit(0)  # the parent has ended, whatever is being done here
@@ -277,9 +341,14 @@ def serve() -> None:
         except OSError:
             os._exit(0)
 
+    def report(step: str, done: float) -> None:
+        if stopped.is_set():
+            raise Cancelled
+        tell(_packed(("report", (step, done))))
+
     tell([memoryview(_READY)])
     while True:
-        tell(_result(received.get(), lambda *report: tell(_packed(("report", report)))))
+        tell(_result(received.get(), report))
 
 
 def _result(request: Message, progress: Progress) -> Message:

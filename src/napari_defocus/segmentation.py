@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks, label_pixels
 from napari_defocus.candidates import BlurCandidates
-from napari_defocus.evidence import on_own_side
 from napari_defocus.graphcut import solve_exactly
-from napari_defocus.labeling import data_term, picture_of
 from napari_defocus.progress import Progress, silent, within
+from napari_defocus.scene import Scene
 from napari_defocus.seeds import checked_seeds
 from napari_defocus.settings import (
     MaskSettings,
@@ -25,6 +24,7 @@ from napari_defocus.settings import (
 
 Float32 = NDArray[np.float32]
 
+_STEP = "Separating focus from blur"
 _CURVE_WEIGHT = np.float32(10)
 _BLOCK_SHARE = 0.3
 _NEVER = np.float32(1e12)
@@ -92,33 +92,61 @@ def segment_in_focus(
     """
     check_weights(smoothness, color_sigma)
     check_threshold(threshold, float(candidates.scales[-1]))
-    fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, candidates.image_shape))
-    picture = picture_of(candidates, image, intensity_range)
-    step = "Separating focus from blur"
-    candidates = on_own_side(candidates, picture)
-    blocks = Blocks.around(candidates.row_centers, candidates.column_centers, picture.shape)
-    cost = focus_cost(candidates, threshold)
-    share = 1.0 if candidates.mode == "paper" else _BLOCK_SHARE
-    weights = blocks.edge_weights(picture.color, color_sigma, share * smoothness)
-    progress(step, 0.0)
+    if seeds is not None:
+        checked_seeds(seeds, candidates.image_shape)
+    return mask_of_scene(
+        Scene.of(candidates, image, intensity_range),
+        threshold=threshold,
+        smoothness=smoothness,
+        color_sigma=color_sigma,
+        seeds=seeds,
+        progress=progress,
+    )
+
+
+def mask_of_scene(
+    scene: Scene,
+    *,
+    threshold: float = MaskSettings.threshold,
+    smoothness: float = MaskSettings.smoothness,
+    color_sigma: float = MaskSettings.color_sigma,
+    seeds: ArrayLike | None = None,
+    preview: bool = False,
+    progress: Progress = silent,
+) -> NDArray[np.uint8]:
+    """Do the work of `segment_in_focus`, which see, on a scene.
+
+    A preview keeps to the blocks of the windows, and takes a fraction of the time.
+    """
+    check_weights(smoothness, color_sigma)
+    check_threshold(threshold, float(scene.own.scales[-1]))
+    blocks, color = scene.blocks, scene.picture.color
+    fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, scene.picture.shape))
+    progress(_STEP, 0.0)
+    cost = focus_cost(scene, threshold)
+    share = 1.0 if scene.own.mode == "paper" else _BLOCK_SHARE
+    weights = blocks.edge_weights(color, color_sigma, share * smoothness)
     block_cost = cost * blocks.area[..., None]
     if fixed is not None:
         block_cost += _seed_cost(fixed, blocks)
     labels = solve_exactly(block_cost, weights)
-    progress(step, 0.5)
+    progress(_STEP, 0.5)
+    if preview:
+        mask = blocks.spread(labels)
+        return (mask if fixed is None else np.where(fixed >= 0, fixed, mask)).astype(np.uint8)
     mask = label_pixels(
         labels,
         cost,
         blocks,
-        picture.color,
+        color,
         smoothness=smoothness,
         color_sigma=color_sigma,
         jump=1,
-        reach=_reach(candidates),
+        reach=_reach(scene.own),
         fixed=fixed,
-        progress=within(progress, 0.5, 1.0, step),
+        progress=within(progress, 0.5, 1.0, _STEP),
     )
-    progress(step, 1.0)
+    progress(_STEP, 1.0)
     return mask.astype(np.uint8)
 
 
@@ -141,12 +169,12 @@ def _reach(candidates: BlurCandidates) -> int:
     return 3 * candidates.window // 4
 
 
-def focus_cost(candidates: BlurCandidates, threshold: float) -> Float32:
+def focus_cost(scene: Scene, threshold: float) -> Float32:
     """Return D of (18) at each window, blurred and in focus: (R, C, 2).
 
     The mode "curve" takes 10 times the limited depth, at most 150; the paper's artificial
     likelihood costs at most 55.
     """
-    cost = data_term(candidates, _CURVE_WEIGHT)
-    sharp = candidates.scales <= threshold + 1e-9
+    cost = scene.cost(_CURVE_WEIGHT)
+    sharp = scene.own.scales <= threshold + 1e-9
     return np.stack([cost[..., ~sharp].min(axis=2), cost[..., sharp].min(axis=2)], axis=2)

@@ -1,0 +1,169 @@
+"""What labelling needs of a picture and its candidates: worked out once, labelled many times."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.boundaries import Blocks
+from napari_defocus.candidates import BlurCandidates
+from napari_defocus.evidence import limited_depth, on_own_side
+from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.progress import Progress, silent
+from napari_defocus.spectrum import LABEL_STEP
+
+Float32 = NDArray[np.float32]
+Result = TypeVar("Result")
+Ingredients = tuple[BlurCandidates, ArrayLike, tuple[float, float] | None]
+
+KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
+"""The kernel that widens candidates into an artificial likelihood (Section III-B)."""
+
+LIKELIHOOD_FLOOR = 1e-24
+"""The artificial likelihood of scales that no candidate reaches, instead of 0."""
+
+_REMEMBERED = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A picture and its candidates, ready to be labelled with any smoothness and threshold.
+
+    Attributes
+    ----------
+    candidates : BlurCandidates
+        As they were estimated.
+    own : BlurCandidates
+        Each place with what its own side of an edge says.
+    picture : PreparedImage
+    blocks : Blocks
+        Of the windows.
+    """
+
+    candidates: BlurCandidates
+    own: BlurCandidates
+    picture: PreparedImage
+    blocks: Blocks
+
+    @classmethod
+    def of(
+        cls,
+        candidates: BlurCandidates,
+        image: ArrayLike,
+        intensity_range: tuple[float, float] | None = None,
+    ) -> Scene:
+        """Prepare the picture that candidates came from.
+
+        Raises
+        ------
+        TypeError
+            If `image` has no real dtype.
+        ValueError
+            If it is no picture, or another one than that of `candidates`.
+        """
+        picture = _picture_of(candidates, image, intensity_range)
+        own = on_own_side(candidates, picture)
+        centers = candidates.row_centers, candidates.column_centers
+        return cls(candidates, own, picture, Blocks.around(*centers, picture.shape))
+
+    @cached_property
+    def _data_term(self) -> Float32:
+        return data_term(self.own)
+
+    def cost(self, curve_weight: np.float32) -> Float32:
+        """Return `data_term`, in the mode "curve" times a weight: (R, C, L)."""
+        if self.candidates.mode == "paper":
+            return self._data_term
+        return curve_weight * self._data_term
+
+
+def _picture_of(
+    candidates: BlurCandidates, image: ArrayLike, intensity_range: tuple[float, float] | None
+) -> PreparedImage:
+    """Prepare the picture that candidates came from, or say that it is another one."""
+    picture = prepare_image(image, intensity_range)
+    if picture.shape != candidates.image_shape:
+        raise ValueError(
+            f"image is {picture.shape[0]} x {picture.shape[1]} px; these candidates are of a "
+            f"picture of {candidates.image_shape[0]} x {candidates.image_shape[1]} px"
+        )
+    return picture
+
+
+def data_term(candidates: BlurCandidates) -> Float32:
+    """Return D of (14) but for a weight: the cost of each scale at each window, (R, C, L).
+
+    In the mode "paper", -log of the artificial likelihood; in "curve", the limited depth.
+    """
+    if candidates.mode == "paper":
+        return -np.log(artificial_likelihood(candidates)).astype(np.float32)
+    return limited_depth(candidates)
+
+
+def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
+    """Return p~ of Section III-B: the three candidates widened by kappa, sum 1, (R, C, L)."""
+    present = np.isfinite(candidates.radii)
+    known = np.where(present, candidates.log_likelihoods, 0).astype(np.float64)
+    height = np.where(present, np.exp(known - known[..., :1]), 0)
+    label = np.rint(np.where(present, candidates.radii, 0) / LABEL_STEP).astype(int)
+    count, reach = len(candidates.scales), len(KAPPA) // 2
+    likelihood = np.zeros((*label.shape[:2], count + 2 * reach))
+    rows, columns = np.indices(label.shape[:2])
+    for k in range(label.shape[2]):
+        for tap, weight in enumerate(KAPPA):
+            likelihood[rows, columns, label[..., k] + tap] += weight * height[..., k]
+    likelihood = np.maximum(likelihood[..., reach:-reach], LIKELIHOOD_FLOOR)
+    return likelihood / likelihood.sum(axis=2, keepdims=True)
+
+
+class UnknownSceneError(LookupError):
+    """No scene of that name is known here."""
+
+
+_scenes: OrderedDict[str, Scene] = OrderedDict()
+
+
+def with_scene(
+    function: Callable[..., Result],
+    name: str,
+    ingredients: Ingredients | None,
+    *,
+    progress: Progress = silent,
+    **keywords: object,
+) -> Result:
+    """Call a function with a scene that this process remembers.
+
+    For a process that is told the candidates of a picture once, and asked to label them often.
+
+    Parameters
+    ----------
+    function : callable
+        Called as ``function(scene, progress=progress, **keywords)``.
+    name : str
+        Of the scene; the last two are remembered.
+    ingredients : (BlurCandidates, image, intensity_range) or None
+        What `Scene.of` takes; None if the scene should be known.
+    progress : callable, optional
+    **keywords
+        Of the function.
+
+    Raises
+    ------
+    UnknownSceneError
+        If it is not known and no ingredients are given.
+    """
+    scene = _scenes.pop(name, None)
+    if scene is None:
+        if ingredients is None:
+            raise UnknownSceneError(name)
+        scene = Scene.of(*ingredients)
+    _scenes[name] = scene
+    while len(_scenes) > _REMEMBERED:
+        _scenes.popitem(last=False)
+    return function(scene, progress=progress, **keywords)
