@@ -136,7 +136,7 @@ def test_cancelling_leaves_a_process_that_reports_for_the_next_call():
 def test_process_can_be_started_before_it_is_needed_and_ended_when_it_is_not():
     other_process.prepare_elsewhere(errands.process_id)
     wait_until(lambda: other_process._idle)
-    [helper] = other_process._idle
+    [helper] = other_process._idle.values()
     pid = run_elsewhere(errands.process_id)
     assert pid == helper._process.pid
     other_process.end_idle()
@@ -213,6 +213,14 @@ def test_calls_at_the_same_time_have_a_process_each_and_one_is_kept():
         thread.join()
     assert len({*pids, os.getpid()}) == 3
     assert sum(map(is_running, pids)) == 1
+
+
+@pytest.mark.usefixtures("_none_is_kept")
+def test_each_lane_has_a_process_of_its_own_which_is_kept():
+    pids = {lane: run_elsewhere(errands.process_id, lane=lane) for lane in ("", "quick")}
+    assert pids[""] != pids["quick"]
+    for lane in ("quick", ""):
+        assert run_elsewhere(errands.process_id, lane=lane) == pids[lane]
 
 
 def test_nothing_is_printed_and_nobody_is_asked(capfd):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import energy_of_pixels, interpolate_labels, label_pixels
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
-from napari_defocus.confidence import checked_map
+from napari_defocus.confidence import checked_map, confidence_and_caution
 from napari_defocus.evidence import evidence_share
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.noise import ShotNoise
@@ -203,6 +203,14 @@ def preview_of_blur_map(
     labels = minimize_energy(cost, weights, within(progress, 0.0, 1.0, "Preview"), coarse=True)
     scales = np.float32(LABEL_STEP) * labels
     return interpolate_labels(scales, labels, blocks.spread(labels), blocks, JUMP)
+
+
+def confidence_of_scene(
+    scene: Scene, *, blur_map: Float32, progress: Progress = silent
+) -> tuple[Float32, Float32]:
+    """Return `confidence_map` and `cautious_blur_map` of a scene's map."""
+    progress("Measuring the confidence", 0.0)
+    return confidence_and_caution(scene.candidates, blur_map)
 
 
 def estimate_blur_map(

@@ -76,6 +76,7 @@ def run_elsewhere(
     function: Callable[..., Result],
     *args: Any,
     progress: Progress = silent,
+    lane: str = "",
     **keywords: Any,
 ) -> Result:
     """Return ``function(*args, progress=progress, **keywords)``, worked out in another process.
@@ -93,6 +94,9 @@ def run_elsewhere(
         Called as ``progress(step, done)`` in the calling thread: with every report, and with the
         last one again at least every 0.1 s. An exception from it ends the work: at its next
         report, or with its process if there is none within 0.3 s.
+    lane : str, optional
+        A process is kept for each: short calls need not wait for long ones, and find what they
+        left there.
 
     Returns
     -------
@@ -112,18 +116,18 @@ def run_elsewhere(
         request = _packed((function, args, keywords))
     except Exception:  # pickling calls methods of the arguments: it may be any
         return function(*args, progress=progress, **keywords)
-    helper = _idle_or_new()
+    helper = _idle_or_new(lane)
     if helper is None:
         return function(*args, progress=progress, **keywords)
     try:
         word, about = helper.answer(request, progress)
     except BaseException:
         if helper.stop():
-            _keep_one(helper)
+            _keep_one(helper, lane)
         else:
             helper.end()
         raise
-    _keep_one(helper)
+    _keep_one(helper, lane)
     if word == "refused":
         return function(*args, progress=progress, **keywords)
     if word == "raised":
@@ -230,17 +234,17 @@ class _Helper:
 
 
 _all: set[_Helper] = set()
-_idle: list[_Helper] = []
+_idle: dict[str, _Helper] = {}
 _lock = threading.Lock()
 
 
-def _idle_or_new() -> _Helper | None:
+def _idle_or_new(lane: str) -> _Helper | None:
     with _lock:
-        while _idle:
-            helper = _idle.pop()
-            if helper.is_alive:
-                return helper
-            helper.end()
+        idle = _idle.pop(lane, None)
+        if idle is not None:
+            if idle.is_alive:
+                return idle
+            idle.end()
         process = _start()
         if process is None:
             return None
@@ -268,11 +272,11 @@ def _start() -> subprocess.Popen[bytes] | None:
     return None
 
 
-def _keep_one(helper: _Helper) -> None:
-    """Keep a helper for the next call; calls at the same time have had one each."""
+def _keep_one(helper: _Helper, lane: str) -> None:
+    """Keep a helper for a lane's next call; calls at the same time have had one each."""
     with _lock:
-        if helper.is_alive and not _idle:
-            _idle.append(helper)
+        if helper.is_alive and lane not in _idle:
+            _idle[lane] = helper
         else:
             helper.end()
 
@@ -293,10 +297,10 @@ def prepare_elsewhere(function: Callable[..., Any], *args: Any) -> None:
 
 
 def end_idle() -> None:
-    """End the process that waits for the next call, if one does."""
+    """End the processes that wait for the next call."""
     with _lock:
         while _idle:
-            _idle.pop().end()
+            _idle.popitem()[1].end()
 
 
 @atexit.register

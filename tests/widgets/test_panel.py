@@ -332,9 +332,9 @@ def test_removed_layer_ends_its_run_without_a_word(
 def test_deleted_layer_takes_its_candidates_with_it(window, docked, finish, method, texture, qtbot):
     window.add_image(texture, name="leaf")
     finish(docked(BlurMapWidget))
-    assert len(ImagePanel.kept.candidates) == 1
+    assert len(ImagePanel.kept.analysed) == 1
     window.layers.clear()
-    qtbot.waitUntil(lambda: collected() and len(ImagePanel.kept.candidates) == 0)
+    qtbot.waitUntil(lambda: collected() and len(ImagePanel.kept.analysed) == 0)
 
 
 def collected():

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from napari.types import LayerDataTuple
+from numpy.typing import NDArray
 
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.settings import (
@@ -17,10 +19,11 @@ from napari_defocus.settings import (
 )
 from napari_defocus.widgets.estimation import (
     ESTIMATION_SHARE,
+    Analysed,
     Picture,
-    cut,
-    estimated_candidates,
+    analysed_picture,
     estimated_map,
+    segmented,
 )
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import Plane
@@ -28,7 +31,10 @@ from napari_defocus.widgets.result_layers import blur_map_layer, confidence_laye
 from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:
-    from napari_defocus import BlurCandidates, PSFEvidence
+    from napari_defocus import PSFEvidence
+
+PREVIEWS = "previews"
+"""The lane of the process that makes them: they do not wait for the results."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,46 +82,71 @@ class Analysis:
         picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
         estimating = within(progress, 0.0, ESTIMATION_SHARE)
-        candidates = estimated_candidates(picture, self.estimation, kept, estimating)
+        analysed = analysed_picture(picture, self.estimation, kept, estimating)
+        return self.labelled(analysed, kept, within(progress, ESTIMATION_SHARE, 1.0))
+
+    def labelled(
+        self, analysed: Analysed, kept: KeptWork, progress: Progress = silent
+    ) -> list[LayerDataTuple]:
+        """Return the wanted result layers of a plane whose candidates are known."""
         steps = [self._map_layers] * self.blur_map + [self._mask_layers] * (self.mask is not None)
-        share = (1.0 - ESTIMATION_SHARE) / len(steps)
-        starts = [ESTIMATION_SHARE + share * n for n in range(len(steps))]
         return [
             layer
-            for step, start in zip(steps, starts, strict=True)
-            for layer in step(candidates, picture, kept, within(progress, start, start + share))
+            for n, step in enumerate(steps)
+            for layer in step(
+                analysed, kept, within(progress, n / len(steps), (n + 1) / len(steps))
+            )
         ]
 
+    def preview(self, analysed: Analysed, progress: Progress = silent) -> list[LayerDataTuple]:
+        """Return the wanted layers of a large picture at once, without their fine details.
+
+        There is no confidence among them.
+        """
+        from napari_defocus.labeling import preview_of_blur_map
+        from napari_defocus.segmentation import mask_of_scene
+
+        layers = []
+        common: dict[str, Any] = {"lane": PREVIEWS, "progress": progress}
+        if self.blur_map:
+            settings = self.estimation
+            weights: dict[str, Any] = {
+                "smoothness": settings.smoothness,
+                "color_sigma": settings.color_sigma,
+            }
+            values = analysed.on_scene(preview_of_blur_map, **weights, **common)
+            used = settings, analysed.candidates.noise_variance
+            layers.append(blur_map_layer(self.plane, values, *used, analysed.candidates.psf))
+        if self.mask is not None:
+            seeds = self.seeds.values if self.seeds else None
+            mask = analysed.on_scene(
+                mask_of_scene, **asdict(self.mask), seeds=seeds, preview=True, **common
+            )
+            layers.append(self._mask_layer(analysed, mask))
+        return layers
+
     def _map_layers(
-        self, candidates: BlurCandidates, picture: Picture, kept: KeptWork, progress: Progress
+        self, analysed: Analysed, kept: KeptWork, progress: Progress
     ) -> list[LayerDataTuple]:
-        found = estimated_map(picture, self.estimation, kept, progress)
-        used = self.estimation, candidates.noise_variance
+        found = estimated_map(analysed.picture, self.estimation, kept, progress)
+        used = self.estimation, found.noise_variance
         # Copies: what somebody paints on a layer is not kept.
-        layers = [blur_map_layer(self.plane, found.values.copy(), *used, candidates.psf)]
+        layers = [blur_map_layer(self.plane, found.values.copy(), *used, found.psf)]
         if self.confidence:
             layers.append(confidence_layer(self.plane, found.confidence.copy(), *used))
         return layers
 
     def _mask_layers(
-        self, candidates: BlurCandidates, picture: Picture, kept: KeptWork, progress: Progress
+        self, analysed: Analysed, kept: KeptWork, progress: Progress
     ) -> list[LayerDataTuple]:
-        from napari_defocus import segment_in_focus
-
         assert self.mask is not None
-        mask = cut(
-            segment_in_focus,
-            candidates,
-            picture,
-            threshold=self.mask.threshold,
-            smoothness=self.mask.smoothness,
-            color_sigma=self.mask.color_sigma,
-            seeds=self.seeds.values if self.seeds else None,
-            progress=progress,
-        )
-        used = self.mask, self.estimation, candidates.noise_variance
-        name = self.seeds.name if self.seeds else None
-        return [in_focus_layer(self.plane, mask, *used, name)]
+        seeds = self.seeds.values if self.seeds else None
+        return [self._mask_layer(analysed, segmented(analysed, self.mask, seeds, progress))]
+
+    def _mask_layer(self, analysed: Analysed, mask: NDArray[np.uint8]) -> LayerDataTuple:
+        assert self.mask is not None
+        used = self.mask, self.estimation, analysed.candidates.noise_variance
+        return in_focus_layer(self.plane, mask, *used, self.seeds.name if self.seeds else None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +171,8 @@ class Comparison:
         texts = dict.fromkeys([*COMPARED_PSFS, settings.psf])
         text_of = {psf_of(text, settings.max_radius): text for text in texts}
         picture = Picture.of(self.plane)
-        comparison = compare_psf(
+        comparison = picture.call(
+            compare_psf,
             picture.image,
             list(text_of),
             noise_variance=settings.noise_variance,

@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.other_process import run_elsewhere
-from napari_defocus.progress import Progress, within
-from napari_defocus.settings import MapSettings
+from napari_defocus.progress import Progress, silent, within
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.kept import KeptWork, fingerprint
 from napari_defocus.widgets.layers import Plane
 
 if TYPE_CHECKING:
     from napari_defocus import BlurCandidates, PSFFamily, ShotNoise
+    from napari_defocus.scene import Ingredients
 
 Float32 = NDArray[np.float32]
+T = TypeVar("T")
 
 ESTIMATION_SHARE = 0.6
 """Of the time of a map or a mask; the rest is labelling."""
 
-LARGE = 1_000_000
-"""In px: larger pictures are labelled in another process, as cuts would stop the window."""
+LARGE = 250_000
+"""In px: larger pictures are worked on in another process, as cuts would stop the window."""
 
 LARGEST_RADIUS = 20.0
 """In px: forms let look up to it, and pictures are restored up to it."""
@@ -52,6 +55,17 @@ class Picture:
         """Read a plane, see `Plane.read`."""
         image = plane.read()
         return cls(plane, image, plane.intensity_range(image))
+
+    @property
+    def is_large(self) -> bool:
+        """Whether work on it would stop the window if it were done in a thread."""
+        return bool(np.prod(self.image.shape[:2]) > LARGE)
+
+    def call(self, function: Callable[..., T], *args: Any, **keywords: Any) -> T:
+        """Call a function of ours: in another process if the picture is large."""
+        if self.is_large:
+            return run_elsewhere(function, *args, **keywords)
+        return function(*args, **keywords)
 
     @cached_property
     def key(self) -> tuple[Any, ...]:
@@ -95,44 +109,89 @@ class Analysed:
     candidates : BlurCandidates
     blur_map : EstimatedMap or None
         None if none was made yet with these settings.
+    name : str
+        Tells the candidates from all others.
     """
 
     picture: Picture
     settings: MapSettings
     candidates: BlurCandidates
     blur_map: EstimatedMap | None = None
+    name: str = field(default_factory=lambda: uuid4().hex)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is labelled in another process, and a preview is worth it."""
+        return self.picture.is_large
+
+    def on_scene(
+        self,
+        function: Callable[..., Any],
+        *,
+        lane: str = "",
+        progress: Progress = silent,
+        **keywords: Any,
+    ) -> Any:
+        """Call a function of a `Scene` in another process, which remembers this one.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module of ours.
+        lane : str, optional
+            See `run_elsewhere`.
+        progress : callable, optional
+        **keywords
+            Of the function.
+        """
+        from napari_defocus.scene import UnknownSceneError, with_scene
+
+        def call(ingredients: Ingredients | None) -> Any:
+            return run_elsewhere(
+                with_scene,
+                *(function, self.name, ingredients),
+                lane=lane,
+                progress=progress,
+                **keywords,
+            )
+
+        try:
+            return call(None)
+        except UnknownSceneError:
+            return call((self.candidates, self.picture.image, self.picture.span))
 
 
-def estimated_candidates(
+def analysed_picture(
     picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
-) -> BlurCandidates:
+) -> Analysed:
     """Return the candidates of a picture: those of an earlier run, if nothing has changed."""
+    layer, key = picture.plane.layer, _candidates_key(picture, settings)
+    found = kept.analysed.known(layer, key)
+    if found is None:
+        found = Analysed(picture, settings, _candidates(picture, settings, progress))
+        kept.analysed.keep(layer(), key, found)
+    return found
+
+
+def _candidates(picture: Picture, settings: MapSettings, progress: Progress) -> BlurCandidates:
     from napari_defocus import estimate_candidates, estimate_shot_noise
 
     common: dict[str, Any] = {"linearize": settings.linearize, "intensity_range": picture.span}
-    family = settings.family()
-
-    def estimate() -> BlurCandidates:
-        noise: float | ShotNoise | None = settings.noise_variance
-        if settings.shot_noise:
-            progress("Measuring the noise", 0.0)
-            noise = estimate_shot_noise(picture.image, **common)
-        return estimate_candidates(
-            picture.image,
-            psf=family,
-            noise_variance=noise,
-            window=settings.window,
-            stride=settings.stride,
-            mode=settings.mode,
-            **common,
-            progress=progress,
-        )
-
-    layer, key = picture.plane.layer, _candidates_key(picture, settings)
-    candidates = kept.candidates.get(layer, key, estimate)
-    if kept.analysed.known(layer, key) is None:
-        kept.analysed.keep(layer(), key, Analysed(picture, settings, candidates))
-    return candidates
+    noise: float | ShotNoise | None = settings.noise_variance
+    if settings.shot_noise:
+        progress("Measuring the noise", 0.0)
+        noise = estimate_shot_noise(picture.image, **common)
+    return picture.call(
+        estimate_candidates,
+        picture.image,
+        psf=settings.family(),
+        noise_variance=noise,
+        window=settings.window,
+        stride=settings.stride,
+        mode=settings.mode,
+        **common,
+        progress=progress,
+    )
 
 
 def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
@@ -143,48 +202,51 @@ def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
     )
 
 
-def labelled_map(
-    candidates: BlurCandidates, picture: Picture, settings: MapSettings, progress: Progress
-) -> Float32:
-    """Return the blur map of candidates."""
-    from napari_defocus import label_blur_map
-
-    return cut(
-        label_blur_map,
-        candidates,
-        picture,
-        smoothness=settings.smoothness,
-        color_sigma=settings.color_sigma,
-        progress=progress,
-    )
-
-
 def estimated_map(
     picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
 ) -> EstimatedMap:
     """Return the blur map of a picture: that of an earlier run, if nothing has changed."""
-    from napari_defocus import cautious_blur_map, confidence_map
-
-    layer = picture.plane.layer
+    layer, candidates_key = picture.plane.layer, _candidates_key(picture, settings)
 
     def estimate() -> EstimatedMap:
-        known = kept.candidates.known(layer, _candidates_key(picture, settings))
-        share = 0.0 if known else ESTIMATION_SHARE
-        estimating = within(progress, 0.0, share)
-        candidates = estimated_candidates(picture, settings, kept, estimating)
-        labelling = within(progress, share, 1.0)
-        values = labelled_map(candidates, picture, settings, labelling)
-        progress("Measuring the confidence", 1.0)
-        confidence = confidence_map(candidates, values)
-        safe = cautious_blur_map(candidates, values)
-        return EstimatedMap(values, safe, confidence, candidates.noise_variance, candidates.psf)
+        share = 0.0 if kept.analysed.known(layer, candidates_key) else ESTIMATION_SHARE
+        analysed = analysed_picture(picture, settings, kept, within(progress, 0.0, share))
+        return _labelled_map(analysed, settings, within(progress, share, 1.0))
 
     found = kept.maps.get(layer, _key(picture, settings), estimate)
-    key = _candidates_key(picture, settings)
-    candidates = kept.candidates.known(layer, key)
-    if candidates is not None:
-        kept.analysed.keep(layer(), key, Analysed(picture, settings, candidates, found))
+    analysed = kept.analysed.known(layer, candidates_key)
+    if analysed is not None:
+        analysed = replace(analysed, settings=settings, blur_map=found)
+        kept.analysed.keep(layer(), candidates_key, analysed)
     return found
+
+
+def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress) -> EstimatedMap:
+    from napari_defocus import cautious_blur_map, confidence_map, label_blur_map
+
+    candidates, picture = analysed.candidates, analysed.picture
+    weights: dict[str, Any] = {
+        "smoothness": settings.smoothness,
+        "color_sigma": settings.color_sigma,
+    }
+    labelling = within(progress, 0.0, 0.8)
+    measuring = "Measuring the confidence"
+    if analysed.is_large:
+        from napari_defocus.labeling import blur_map_of_scene, confidence_of_scene
+
+        values = analysed.on_scene(blur_map_of_scene, progress=labelling, **weights)
+        sure, safe = analysed.on_scene(
+            confidence_of_scene, blur_map=values, progress=within(progress, 0.8, 1.0, measuring)
+        )
+    else:
+        span = picture.span
+        values = label_blur_map(
+            candidates, picture.image, intensity_range=span, progress=labelling, **weights
+        )
+        progress(measuring, 0.8)
+        sure = confidence_map(candidates, values)
+        safe = cautious_blur_map(candidates, values)
+    return EstimatedMap(values, safe, sure, candidates.noise_variance, candidates.psf)
 
 
 def known_map(picture: Picture, settings: MapSettings, kept: KeptWork) -> EstimatedMap | None:
@@ -196,14 +258,21 @@ def _key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
     return *picture.key, settings, settings.family()
 
 
-def cut(
-    function: Callable[..., NDArray[Any]],
-    candidates: BlurCandidates,
-    picture: Picture,
-    **keywords: Any,
-) -> NDArray[Any]:
-    """Call a function that cuts graphs: in this thread if the picture is small."""
-    keywords["intensity_range"] = picture.span
-    if np.prod(picture.image.shape[:2]) > LARGE:
-        return run_elsewhere(function, candidates, picture.image, **keywords)
-    return function(candidates, picture.image, **keywords)
+def segmented(
+    analysed: Analysed,
+    settings: MaskSettings,
+    seeds: NDArray[np.integer] | None,
+    progress: Progress,
+) -> NDArray[np.uint8]:
+    """Return the in-focus mask of a plane, see `napari_defocus.segment_in_focus`."""
+    from napari_defocus import segment_in_focus
+
+    keywords = {**asdict(settings), "seeds": seeds, "progress": progress}
+    if analysed.is_large:
+        from napari_defocus.segmentation import mask_of_scene
+
+        return analysed.on_scene(mask_of_scene, **keywords)
+    picture = analysed.picture
+    return segment_in_focus(
+        analysed.candidates, picture.image, intensity_range=picture.span, **keywords
+    )

@@ -14,7 +14,6 @@ from napari.layers import Image
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from napari_defocus import BlurCandidates
     from napari_defocus.widgets.estimation import Analysed, EstimatedMap
 
 T = TypeVar("T")
@@ -77,6 +76,7 @@ class Kept(Generic[T]):
 
     def latest(self, layer: Image) -> T | None:
         """Return what was found of a layer last, whatever of."""
+        layer = getattr(layer, "__wrapped__", layer)
         with self._lock:
             _, found = self._kept.get(weakref.ref(layer), (None, None))
             return found
@@ -102,16 +102,14 @@ class KeptWork:
 
     Attributes
     ----------
-    candidates : Kept of BlurCandidates
     maps : Kept of EstimatedMap
     restored : Kept of float32 ndarray
         All-in-focus pictures.
     analysed : Kept of Analysed
-        All that is known of the plane that was analysed last, for whoever explains it.
+        The candidates, and all else that is known of the plane that was analysed last.
     """
 
     def __init__(self) -> None:
-        self.candidates: Kept[BlurCandidates] = Kept()
         self.maps: Kept[EstimatedMap] = Kept()
         self.restored: Kept[NDArray[np.float32]] = Kept()
         self.analysed: Kept[Analysed] = Kept()

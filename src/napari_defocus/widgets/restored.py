@@ -83,7 +83,8 @@ class Restoration:
         )
 
         def restore() -> Float32:
-            return restore_all_in_focus(
+            return picture.call(
+                restore_all_in_focus,
                 picture.image,
                 values,
                 psf=blur_map.psf,
@@ -165,7 +166,8 @@ class Refocusing:
 
         made = self.restoration.made(kept, within(progress, 0.0, _RESTORED))
         progress("Blurring again", _RESTORED)
-        seen = change_focus(
+        seen = made.picture.call(
+            change_focus,
             made.picture.image,
             made.blur_map.values,
             focus=self.view.focus,
