@@ -56,6 +56,9 @@ _GRACE = 0.3
 _LAST_WORDS = 1.0
 """Seconds that a process whose pipe is closed has to end by itself."""
 
+_NICENESS = 5
+"""So that a window that shows results has the processor first."""
+
 _NO_MEMORY = 112
 """Exit code of a process that has no memory for what it is told."""
 
@@ -267,7 +270,8 @@ def _start() -> subprocess.Popen[bytes] | None:
                 stderr=subprocess.DEVNULL,
                 bufsize=0,
                 pipesize=size,
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0)
+                | getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),
             )
     return None
 
@@ -321,6 +325,8 @@ def serve() -> None:
     for stream in (0, 1, 2):
         os.dup2(nowhere, stream)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C in a terminal is the parent's matter
+    if hasattr(os, "nice"):
+        os.nice(_NICENESS)
     received: queue.SimpleQueue[Message] = queue.SimpleQueue()
     stopped = threading.Event()
 

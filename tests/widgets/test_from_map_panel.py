@@ -204,8 +204,8 @@ def test_sliders_only_blur_again_once_there_is_a_result(
 def test_slider_and_number_are_one(opened):
     focus = opened(ChangeFocusWidget).focus
     focus.value = 3.25
-    assert focus._slider.value == pytest.approx(3.25)
-    focus._slider.value = 1.5
+    assert focus.slider.value == pytest.approx(3.25)
+    focus.slider.value = 1.5
     assert focus.value == 1.5
     focus.largest = 1.0
     assert focus.largest == focus.value == 1.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -23,18 +24,19 @@ from napari_defocus.widgets.estimation import (
     Picture,
     analysed_picture,
     estimated_map,
+    same_candidates,
     segmented,
 )
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
+from napari_defocus.widgets.results import METADATA_KEY, prepare_napari
 from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:
     from napari_defocus import PSFEvidence
 
-PREVIEWS = "previews"
-"""The lane of the process that makes them: they do not wait for the results."""
+Preview = Callable[[list[LayerDataTuple]], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +71,9 @@ class Analysis:
         if self.mask is not None:
             check_threshold(self.mask.threshold, family.max_scale)
 
-    def run(self, kept: KeptWork, progress: Progress = silent) -> list[LayerDataTuple]:
+    def run(
+        self, kept: KeptWork, progress: Progress = silent, preview: Preview | None = None
+    ) -> list[LayerDataTuple]:
         """Return the wanted result layers.
 
         Parameters
@@ -78,11 +82,17 @@ class Analysis:
             What earlier runs have found; what this one finds is added.
         progress : callable, optional
             See `napari_defocus.progress`.
+        preview : callable, optional
+            Called with `preview` of a large picture as soon as there is one.
         """
-        picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
+        prepare_napari()
+        picture = Picture.of(self.plane)
         estimating = within(progress, 0.0, ESTIMATION_SHARE)
         analysed = analysed_picture(picture, self.estimation, kept, estimating)
+        if preview is not None and analysed.is_large:
+            there = within(progress, ESTIMATION_SHARE, ESTIMATION_SHARE)
+            preview(self.preview(analysed, there))
         return self.labelled(analysed, kept, within(progress, ESTIMATION_SHARE, 1.0))
 
     def labelled(
@@ -98,16 +108,27 @@ class Analysis:
             )
         ]
 
-    def preview(self, analysed: Analysed, progress: Progress = silent) -> list[LayerDataTuple]:
+    def fits(self, analysed: Analysed) -> bool:
+        """Tell whether candidates are those of this plane and these settings."""
+        plane, known = self.plane, analysed.picture.plane
+        return (
+            plane == known
+            and (analysed.picture.span is None or plane.contrast_limits == known.contrast_limits)
+            and same_candidates(analysed.settings, self.estimation)
+        )
+
+    def preview(
+        self, analysed: Analysed, progress: Progress = silent, lane: str = ""
+    ) -> list[LayerDataTuple]:
         """Return the wanted layers of a large picture at once, without their fine details.
 
-        There is no confidence among them.
+        There is no confidence among them. For `lane` see `run_elsewhere`.
         """
         from napari_defocus.labeling import preview_of_blur_map
         from napari_defocus.segmentation import mask_of_scene
 
         layers = []
-        common: dict[str, Any] = {"lane": PREVIEWS, "progress": progress}
+        common: dict[str, Any] = {"lane": lane, "progress": progress}
         if self.blur_map:
             settings = self.estimation
             weights: dict[str, Any] = {
@@ -123,6 +144,8 @@ class Analysis:
                 mask_of_scene, **asdict(self.mask), seeds=seeds, preview=True, **common
             )
             layers.append(self._mask_layer(analysed, mask))
+        for _, keywords, _ in layers:
+            keywords["metadata"][METADATA_KEY]["preview"] = True
         return layers
 
     def _map_layers(

@@ -1,11 +1,12 @@
 """The widget that chooses another focus, afterwards."""
 
+from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
 from magicgui.widgets import CheckBox, PushButton, Widget
 from napari.components import ViewerModel
-from napari.layers import Image
+from napari.layers import Image, Layer
 from napari.utils.notifications import show_warning
 
 from napari_defocus.settings import Linearize, MapSettings, RefocusSettings
@@ -201,8 +202,8 @@ class ChangeFocusWidget(FromMapPanel):
         self._started = work.restoration if isinstance(work, Refocusing) else None
         return super()._start_on(work)
 
-    def _show_results(self, results: Results) -> None:
-        super()._show_results(results)
+    def _show_results(self, results: Results) -> Iterator[Layer]:
+        yield from super()._show_results(results)
         self._restored = self._started
 
     def _on_finished(self) -> None:

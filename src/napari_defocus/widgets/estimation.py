@@ -194,6 +194,12 @@ def _candidates(picture: Picture, settings: MapSettings, progress: Progress) -> 
     )
 
 
+def same_candidates(first: MapSettings, second: MapSettings) -> bool:
+    """Tell whether settings differ at most in what labels candidates."""
+    alike = replace(first, smoothness=second.smoothness, color_sigma=second.color_sigma)
+    return alike == second and first.family() == second.family()
+
+
 def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
     """Return all that candidates depend on."""
     return (

@@ -1,11 +1,12 @@
 """What the widgets share that make something of an image and its blur map."""
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Any, Protocol
 
 from magicgui.widgets import ComboBox, Widget
 from napari.components import ViewerModel
-from napari.layers import Image
+from napari.layers import Image, Layer
 
 from napari_defocus.progress import Progress
 from napari_defocus.widgets.image_panel import ImagePanel
@@ -18,7 +19,7 @@ from napari_defocus.widgets.map_source import (
     settings_of_map,
     source_of_layer,
 )
-from napari_defocus.widgets.results import Results, show_results
+from napari_defocus.widgets.results import Results, showing_results
 from napari_defocus.widgets.settings_form import SettingsForm
 from napari_defocus.widgets.workers import Run
 
@@ -165,7 +166,7 @@ class FromMapPanel(ImagePanel):
             f"{self.run_button.text}: {work.plane.name}",
         )
 
-    def _show_results(self, results: Results) -> None:
+    def _show_results(self, results: Results) -> Iterator[Layer]:
         if self._still_current():
-            show_results(self._viewer, results.layers)
+            yield from showing_results(self._viewer, results.layers)
             self.status.value = results.summary

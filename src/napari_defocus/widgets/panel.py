@@ -1,20 +1,23 @@
 """What the widgets of the map and the mask share: choose an image and a lens, set, run."""
 
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from magicgui.widgets import ComboBox, Label, PushButton, Widget
+from magicgui.widgets import CheckBox, ComboBox, Label, PushButton, Widget
 from napari.components import ViewerModel
-from napari.layers import Labels
+from napari.layers import Labels, Layer
 from napari.types import LayerDataTuple
 from napari.utils.notifications import show_warning
 
 from napari_defocus import PSFEvidence
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.analysis import Analysis, Comparison
+from napari_defocus.widgets.estimation import Analysed
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.live import LiveLabels
 from napari_defocus.widgets.result_layers import not_trusted_layer
 from napari_defocus.widgets.results import (
     BLUR_MAP,
@@ -24,9 +27,17 @@ from napari_defocus.widgets.results import (
     layer_of_result,
     made_by_us,
     show_results,
+    showing_results,
 )
-from napari_defocus.widgets.seeds import SEEDS, Seeds, add_seeds_layer, shown_seeds
+from napari_defocus.widgets.seeds import (
+    SEEDS,
+    Seeds,
+    SeedsWatch,
+    add_seeds_layer,
+    shown_seeds,
+)
 from napari_defocus.widgets.settings_form import SettingsForm
+from napari_defocus.widgets.shown_labels import ShownLabels
 from napari_defocus.widgets.workers import Run
 
 LONGEST_NAME = 22
@@ -55,6 +66,8 @@ class DefocusPanel(ImagePanel):
         The labels layer that the mask keeps to, or none.
     seeds_button : magicgui.widgets.PushButton
         Makes a new one.
+    live : magicgui.widgets.CheckBox
+        Whether map and mask follow the sliders and the seeds.
     compare_button, comparison, best_button : magicgui widgets
         Start a comparison of lenses, show it, and take the best of it.
     """
@@ -66,6 +79,8 @@ class DefocusPanel(ImagePanel):
         self._blur_map = blur_map
         self._mask = mask
         self._best = ""
+        self._shown = ShownLabels()
+        self._rough: set[Layer] = set()
         self.settings = SettingsForm(
             blur_map=blur_map, mask=mask, last_measured=self._last_measured
         )
@@ -89,6 +104,13 @@ class DefocusPanel(ImagePanel):
             text="Which lens fits?",
             tooltip="Compare how well several lenses explain the picture, and show the best.",
         )
+        self.live = CheckBox(
+            name="live",
+            text="follow the sliders",
+            value=True,
+            tooltip="Once the picture is measured, label it again whenever a slider or the seeds "
+            "change: a rough map and mask at once, the fine ones when the slider rests.",
+        )
         self.comparison = Label(name="comparison", label=" ", value="")
         self.best_button = PushButton(name="take_best", text="Take the best")
         self._finish_form(self._fields())
@@ -104,6 +126,7 @@ class DefocusPanel(ImagePanel):
             self.best_button,
             *settings.main_fields(),
             *([self.seeds, self.seeds_button] if self._mask else []),
+            self.live,
             settings.more,
             *settings.more_fields(),
         ]
@@ -117,6 +140,12 @@ class DefocusPanel(ImagePanel):
         self.best_button.clicked.connect(self.take_best)
         self.image.changed.connect(lambda _: self._forget_comparison())
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
+        for field in self.settings.weights():
+            field.number.changed.connect(lambda _: self.update_labels())
+        self.live.changed.connect(lambda _: self.update_labels())
+        self._seeds_watch = SeedsWatch(self.update_labels)
+        self.seeds.changed.connect(lambda layer: self._on_seeds(layer))
+        self._live_labels = LiveLabels(self.kept, self._show_live, self.native)
         self._choose_active()
 
     def _seeds_layers(self, _: Any) -> list[Labels]:
@@ -159,10 +188,40 @@ class DefocusPanel(ImagePanel):
         layer = add_seeds_layer(self._viewer, self.image.value)
         self.reset_choices()
         self.seeds.value = layer
-        self.status.value = (
-            "Paint label 1 where it is in focus and 2 where it is blurred. Then run."
-        )
+        self.status.value = "Paint label 1 where it is in focus and 2 where it is blurred."
         return layer
+
+    def _on_seeds(self, layer: Labels | None) -> None:
+        self._seeds_watch.watch(layer)
+        self.update_labels()
+
+    def update_labels(self) -> None:
+        """Label again what was measured, if the form asks for other labels than those shown.
+
+        Nothing happens while something runs, or if the picture has to be measured first.
+        """
+        if not self.live.value or self._running is not None or self.image.value is None:
+            return
+        try:
+            analysis = self.analysis()
+        except ValueError:
+            return  # somebody is still typing
+        analysed = self.kept.analysed.latest(self.image.value)
+        if analysed is None or not analysis.fits(analysed):
+            return
+        changed = self._shown.changed(analysed, analysis)
+        if changed is not None:
+            self.status.value = "Updating"
+            self._live_labels.want(analysed, changed)
+        elif self._live_labels.is_busy:
+            self._live_labels.stop()
+
+    def _show_live(
+        self, results: list[LayerDataTuple], analysed: Analysed, analysis: Analysis, whole: bool
+    ) -> None:
+        if not self._closed and analysed.picture.plane.is_current(self._viewer.layers):
+            for _ in self._showing(results, analysed, analysis, whole=whole):
+                pass
 
     def run(self) -> Run | None:
         """Start the analysis, and return it; None if there is nothing to analyse.
@@ -175,9 +234,13 @@ class DefocusPanel(ImagePanel):
         analysis = self._asked_for(self.analysis)
         if analysis is None:
             return None
-        work = partial(analysis.run, self.kept)
+        self._live_labels.stop()
         return self._start(
-            work, self._show_results, [analysis.plane], f"Defocus of {analysis.plane.name}"
+            partial(analysis.run, self.kept),
+            lambda results: self._show_results(results, analysis),
+            [analysis.plane],
+            f"Defocus of {analysis.plane.name}",
+            take_preview=lambda results: self._show_results(results, analysis, whole=False),
         )
 
     def compare(self) -> Run | None:
@@ -201,20 +264,63 @@ class DefocusPanel(ImagePanel):
     def _show_running(self, running: bool) -> None:
         super()._show_running(running)
         self.compare_button.enabled = not running
+        if not running:
+            self.update_labels()  # for whoever has moved a slider meanwhile
 
-    def _show_results(self, results: list[LayerDataTuple]) -> None:
-        if self._still_current():
-            self._show_below_brush(results)
+    def cancel(self) -> None:
+        """Stop what runs and what follows the sliders; nothing is added to the viewer."""
+        self._live_labels.stop()
+        super().cancel()
+
+    def _on_finished(self) -> None:
+        super()._on_finished()
+        if not self._closed:
+            for layer in self._rough & set(self._viewer.layers):
+                self._viewer.layers.remove(layer)
+        self._rough.clear()
+
+    def _on_closed(self) -> None:
+        self._live_labels.stop()
+        super()._on_closed()
+
+    def _show_results(
+        self, results: list[LayerDataTuple], analysis: Analysis, whole: bool = True
+    ) -> Iterator[Layer]:
+        analysed = self.kept.analysed.latest(self.image.value)
+        if analysed is None or not self._still_current():
+            return
+        before = set(self._viewer.layers)
+        for layer in self._showing(results, analysed, analysis, whole=whole):
+            if not whole and layer not in before:
+                self._rough.add(layer)
+            yield layer
+        if whole:
+            self._rough.clear()
+            self._live_labels.prepare(analysed, analysis)
+
+    def _showing(
+        self,
+        results: list[LayerDataTuple],
+        analysed: Analysed,
+        analysis: Analysis,
+        *,
+        whole: bool,
+    ) -> Iterator[Layer]:
+        """Show results step by step; a preview of them has no confidence and is no last word."""
+        yield from self._showing_below_brush(results)
+        self._shown.note(analysed, analysis, whole=whole)
+        if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
             self.status.value = _summary(results)
 
-    def _show_below_brush(self, results: list[LayerDataTuple]) -> None:
+    def _showing_below_brush(self, results: list[LayerDataTuple]) -> Iterator[Layer]:
         """Show results; whoever paints seeds goes on painting on their layer."""
         selection = self._viewer.layers.selection
         painted = selection.active
-        for layer in show_results(self._viewer, results):
+        for layer in showing_results(self._viewer, results):
             # Other widgets hide the map that they make on the way.
             layer.visible |= made_by_us(layer) == BLUR_MAP
+            yield layer
         if painted is not None and painted == self.seeds.value:
             selection.active = painted
 

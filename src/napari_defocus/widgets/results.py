@@ -3,13 +3,16 @@
 No Qt here, as in `layers`.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from napari.components import LayerList, ViewerModel
-from napari.layers import Layer, Surface
+from napari.layers import Labels, Layer, Surface
 from napari.types import LayerDataTuple
+from napari.utils.transforms import Affine
+from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.widgets.layers import Plane
@@ -101,10 +104,24 @@ def show_results(viewer: ViewerModel, results: list[LayerDataTuple]) -> list[Lay
         opacity and the visibility that its user gave it, and the contrast limits, too, if
         their range is the same.
     """
-    return [_shown_result(viewer, *result) for result in results]
+    return list(dict.fromkeys(showing_results(viewer, results)))
 
 
-def _shown_result(viewer: ViewerModel, data: Any, keywords: dict[str, Any], kind: str) -> Layer:
+def showing_results(viewer: ViewerModel, results: list[LayerDataTuple]) -> Iterator[Layer]:
+    """Do the work of `show_results` in small steps, for a window that must not stop.
+
+    Yields
+    ------
+    napari.layers.Layer
+        After each step, the layer that it was about.
+    """
+    for result in results:
+        yield from _showing(viewer, *result)
+
+
+def _showing(
+    viewer: ViewerModel, data: Any, keywords: dict[str, Any], kind: str
+) -> Iterator[Layer]:
     layer = _earlier_result(viewer.layers, keywords)
     if layer is not None and getattr(layer, "rgb", False) != keywords.get("rgb", False):
         viewer.layers.remove(layer)
@@ -112,18 +129,34 @@ def _shown_result(viewer: ViewerModel, data: Any, keywords: dict[str, Any], kind
     if layer is None:
         layer = viewer.add_layer(Layer.create(data, keywords, kind))
         if keywords["metadata"][METADATA_KEY]["result"] in _WITH_COLOR_BAR:
+            yield layer
             layer.colorbar.visible = True
-        return layer
+        yield layer
+        return
     _set_data(layer, data, keywords)
     for name in PLACEMENT:
-        if name in keywords:
+        if name in keywords and not _is(getattr(layer, name), keywords[name]):
             setattr(layer, name, keywords[name])
     layer.metadata = {**layer.metadata, **keywords["metadata"]}
     limits = keywords.get("contrast_limits")
     if limits is not None and tuple(layer.contrast_limits_range) != limits:
         layer.contrast_limits_range = limits
         layer.contrast_limits = limits
-    return layer
+    yield layer
+
+
+def prepare_napari() -> None:
+    """Have napari load what layers need: in the thread that makes results, not in the window's."""
+    Labels(np.zeros((2, 2), np.uint8), features={"index": [0, 1]})
+
+
+def _is(now: Any, wanted: Any) -> bool:
+    """Tell whether a layer lies somewhere already: moving it there redraws all layers."""
+    if isinstance(now, Affine):
+        now = now.affine_matrix
+    if isinstance(wanted, tuple):
+        return tuple(now) == wanted
+    return bool(np.array_equal(now, wanted))
 
 
 def _set_data(layer: Layer, data: Any, keywords: dict[str, Any]) -> None:
@@ -132,8 +165,18 @@ def _set_data(layer: Layer, data: Any, keywords: dict[str, Any]) -> None:
         layer.vertex_colors = None
         layer.data = data
         layer.vertex_colors = keywords.get("vertex_colors")
-    elif not np.array_equal(layer.data, data, equal_nan=data.dtype.kind == "f"):
+    elif isinstance(layer.data, np.ndarray) and _alike(layer.data, data):
+        if not np.array_equal(layer.data, data, equal_nan=data.dtype.kind == "f"):
+            # Other data of the same shape would make napari build the picture anew.
+            layer.data[...] = data
+            layer.refresh(extent=False)
+            layer.events.data()
+    else:
         layer.data = data
+
+
+def _alike(now: NDArray[Any], data: NDArray[Any]) -> bool:
+    return now.shape == data.shape and now.dtype == data.dtype and now.flags.writeable
 
 
 def _earlier_result(layers: LayerList, keywords: dict[str, Any]) -> Layer | None:

@@ -1,19 +1,26 @@
 """What all widgets that work in a thread share: run, watch, cancel."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from magicgui.widgets import Container, Label, ProgressBar, PushButton, Widget
 from napari.components import ViewerModel
 from napari.utils.notifications import show_error
-from qtpy.QtCore import Qt
+from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import QLabel, QSizePolicy, QWidget
 
-from napari_defocus.progress import Progress
+from napari_defocus.other_process import end_idle
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.workers import STEPS, Run
 
 LABEL_PADDING = 16
+
+PAUSE = 15
+"""Milliseconds between two steps of what is shown, in which the window draws."""
+
+
+_open: set[int] = set()
+"""Which panels are open: with the last one, the processes end that wait for work."""
 
 
 class RunPanel(Container[Widget]):
@@ -36,6 +43,7 @@ class RunPanel(Container[Widget]):
         self._running: Run | None = None
         self._planes: Sequence[Plane] = ()
         self._closed = False
+        _open.add(id(self))
         self.run_button = PushButton(text=action)
         self.cancel_button = PushButton(text="Cancel", enabled=False)
         self.progress_bar = ProgressBar(name="progress", label=" ", min=0, max=STEPS, value=0)
@@ -77,17 +85,25 @@ class RunPanel(Container[Widget]):
 
     def _start(
         self,
-        work: Callable[[Progress], Any],
-        take: Callable[[Any], None],
+        work: Callable[..., Any],
+        take: Callable[[Any], Any],
         planes: Sequence[Plane],
         description: str,
+        take_preview: Callable[[Any], Any] | None = None,
     ) -> Run:
-        """Start `work` on planes; `take` gets its value, in the main thread."""
-        run = Run(work, description, owner=self)
+        """Start `work` on planes; `take` gets its value, in the main thread.
+
+        If `take` returns an iterator, it is gone through between other events: the window does
+        not stop, and the run finishes after it. With `take_preview` the work is given a function
+        `preview`, and that gets what it is called with.
+        """
+        run = Run(work, description, owner=self, previews=take_preview is not None)
         # Functions, not methods: PySide6 mixes up the methods of objects that are not Qt's own
         # when one is made at the address of another that has gone, and crashes.
         run.progressed.connect(lambda step, done: self._on_progressed(step, done))
-        run.returned.connect(lambda value: self._on_returned(take, value))
+        if take_preview is not None:
+            run.previewed.connect(lambda value: self._on_returned(run, take_preview, value))
+        run.returned.connect(lambda value: self._on_returned(run, take, value))
         run.refused.connect(lambda reason: self._on_refused(reason))
         run.finished.connect(lambda: self._on_finished())
         self._viewer.layers.events.removed.connect(self._on_layer_removed)
@@ -109,9 +125,27 @@ class RunPanel(Container[Widget]):
             self.progress_bar.value = round(STEPS * done)
             self.status.value = step
 
-    def _on_returned(self, take: Callable[[Any], None], value: Any) -> None:
-        if not self._closed:
-            take(value)
+    def _on_returned(self, run: Run, take: Callable[[Any], Any], value: Any) -> None:
+        if self._closed:
+            return
+        steps = take(value)
+        if isinstance(steps, Iterator):
+            run.hold()
+            self._go_through(steps, run.release)
+
+    def _go_through(self, steps: Iterator[Any], then: Callable[[], None]) -> None:
+        """Take steps between other events, unless the panel is closed."""
+        try:
+            if not self._closed:
+                next(steps)
+                QTimer.singleShot(PAUSE, lambda: self._go_through(steps, then))
+                return
+        except StopIteration:
+            pass
+        except BaseException:
+            then()
+            raise
+        then()
 
     def _on_refused(self, reason: str) -> None:
         if not self._closed and self._planes:
@@ -120,6 +154,7 @@ class RunPanel(Container[Widget]):
     def _on_finished(self) -> None:
         self._running = None
         if self._closed:
+            self._leave()
             return
         self._viewer.layers.events.removed.disconnect(self._on_layer_removed)
         self._show_running(False)
@@ -130,8 +165,15 @@ class RunPanel(Container[Widget]):
 
     def _on_closed(self) -> None:
         self._closed = True
+        _open.discard(id(self))
         if self._running is not None:
             self._running.cancel()
+        self._leave()
+
+    def _leave(self) -> None:
+        """End the processes that wait for work, if no panel is open any more."""
+        if not _open:
+            end_idle()
 
 
 def wrap(label: Label) -> None:

@@ -3,6 +3,8 @@
 No Qt here, as in `layers`.
 """
 
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +39,34 @@ class Seeds:
 
     name: str
     values: NDArray[np.integer]
+
+
+class SeedsWatch:
+    """Tells when somebody has painted on a labels layer, or taken it back.
+
+    Parameters
+    ----------
+    tell : callable
+        Called after each change.
+    """
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell = tell
+        self._watched: weakref.ref[Labels] | None = None
+
+    def watch(self, layer: Labels | None) -> None:
+        """Watch a layer, or none, instead of the one before."""
+        before = None if self._watched is None else self._watched()
+        layer = getattr(layer, "__wrapped__", layer)
+        self._watched = None if layer is None else weakref.ref(layer)
+        for each, connect in ((before, False), (layer, True)):
+            if each is not None:
+                # Undo and redo say nothing else than that the layer is drawn again.
+                for event in (each.events.paint, each.events.set_data, each.events.data):
+                    (event.connect if connect else event.disconnect)(self._on_change)
+
+    def _on_change(self, event: Any) -> None:
+        self._tell()
 
 
 def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:

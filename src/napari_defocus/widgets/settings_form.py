@@ -7,6 +7,7 @@ from magicgui.widgets import CheckBox, FloatSpinBox, LineEdit, PushButton, Widge
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.estimation import LARGEST_RADIUS
 from napari_defocus.widgets.lens_form import LensForm
+from napari_defocus.widgets.slider_field import SliderField
 
 AUTOMATIC = "automatic"
 
@@ -44,7 +45,7 @@ class SettingsForm:
         What the blur map is labelled with.
     confidence, min_confidence : magicgui widgets
         Whether the confidence is shown, and below which the map is covered.
-    threshold, mask_smoothness, mask_color_sigma : magicgui widgets
+    threshold, mask_smoothness, mask_color_sigma : SliderField
         What the mask is segmented with.
     more : magicgui.widgets.PushButton
         Shows and hides the fields that few people need.
@@ -70,6 +71,7 @@ class SettingsForm:
         self._unneeded: list[Widget] = []
         self._usual_threshold = MaskSettings.threshold
         self.lens.lens.changed.connect(lambda _: self._follow_lens())
+        self.max_radius.changed.connect(lambda largest: self._limit_threshold(largest))
         self.more.changed.connect(lambda _: self.show_more(not self._more_shown))
         self.shot_noise.changed.connect(lambda on: _enable(self.noise_variance, not on))
         self.confidence.changed.connect(lambda on: _enable(self.min_confidence, on))
@@ -95,6 +97,12 @@ class SettingsForm:
         if self._mask:
             fields += [self.mask_smoothness, self.mask_color_sigma]
         return fields
+
+    def weights(self) -> list[SliderField]:
+        """Return the fields that only label again what is known already."""
+        mapped = [self.map_smoothness, self.map_color_sigma] * self._blur_map
+        masked = [self.threshold, self.mask_smoothness, self.mask_color_sigma] * self._mask
+        return mapped + masked
 
     def show_more(self, shown: bool) -> None:
         """Show or hide the fields that few people need; only once they are in a form."""
@@ -128,6 +136,9 @@ class SettingsForm:
         before, self._usual_threshold = self._usual_threshold, self.lens.usual_threshold()
         if self.threshold.value == before:
             self.threshold.value = self._usual_threshold
+
+    def _limit_threshold(self, largest: float) -> None:
+        self.threshold.largest = largest
 
     def map_settings(self) -> MapSettings:
         """Return what the fields say about the estimation and the map.
@@ -245,40 +256,44 @@ def _min_confidence_field() -> FloatSpinBox:
     )
 
 
-def _threshold_field() -> FloatSpinBox:
-    return FloatSpinBox(
+def _threshold_field() -> SliderField:
+    return SliderField(
         name="threshold",
         label="in focus up to (px)",
         value=MaskSettings.threshold,
-        min=0.0,
-        max=20.0,
+        largest=MapSettings.max_radius,
         step=0.1,
+        follows=True,
         tooltip="The widest blur that still counts as in focus: its radius in pixels, or "
         "its standard deviation for a Gaussian, as the map shows it. "
         "Changing it does not analyse the picture again.",
     )
 
 
-def _smoothness_field(of: str, what: str, value: float) -> FloatSpinBox:
-    return FloatSpinBox(
+def _smoothness_field(of: str, what: str, value: float) -> SliderField:
+    return SliderField(
         name=f"{of}_smoothness",
         label=f"{of} smoothness",
         value=value,
-        min=0.0,
-        max=100_000.0,
+        least=0.1,
+        largest=100_000.0,
         step=5.0,
+        follows=True,
+        logarithmic=True,
         tooltip=_SMOOTHNESS.format(what=what),
     )
 
 
-def _color_sigma_field(of: str, what: str, value: float) -> FloatSpinBox:
-    return FloatSpinBox(
+def _color_sigma_field(of: str, what: str, value: float) -> SliderField:
+    return SliderField(
         name=f"{of}_color_sigma",
         label=f"{of} colour step",
         value=value,
-        min=0.001,
-        max=10.0,
+        least=0.005,
+        largest=2.0,
         step=0.01,
+        follows=True,
+        logarithmic=True,
         tooltip=_COLOR_STEP.format(what=what),
     )
 

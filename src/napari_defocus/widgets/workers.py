@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from napari.qt.threading import create_worker
@@ -10,7 +11,7 @@ from napari.utils import cancelable_progress
 from napari.utils.notifications import notification_manager
 from qtpy.QtCore import QObject, Signal
 
-from napari_defocus.progress import Cancelled, Progress
+from napari_defocus.progress import Cancelled
 
 REPORT_INTERVAL = 0.05
 """Seconds between two reports of one step that reach the main thread."""
@@ -50,16 +51,22 @@ class Run(QObject):
     Parameters
     ----------
     function : callable
-        Called as ``function(progress)`` in the worker thread. A `ValueError`, `TypeError`
-        or `MemoryError` means that its input cannot be worked on.
+        Called as ``function(progress)`` in the worker thread, or with `previews` as
+        ``function(progress, preview=preview)``: it calls `preview` with what it has so far. A
+        `ValueError`, `TypeError` or `MemoryError` means that its input cannot be worked on.
     description : str
-        What napari's activity list shows.
+        What napari's activity list shows; "" for work that is not worth a line there.
     owner : object
         Who waits for it: kept alive until it has finished.
+    previews : bool
+        Whether `previewed` is sent.
     """
 
     progressed = Signal(str, float)
     """The step's name, and the share of the whole that is done."""
+
+    previewed = Signal(object)
+    """What there is so far; not sent after `cancel`."""
 
     returned = Signal(object)
     """The function's value; not sent after `cancel`."""
@@ -71,26 +78,49 @@ class Run(QObject):
     """Sent once and last, whatever happened."""
 
     _reported = Signal(str, float)
+    _made = Signal(object)
 
     def __init__(
-        self, function: Callable[[Progress], Any], description: str, owner: object = None
+        self,
+        function: Callable[..., Any],
+        description: str,
+        owner: object = None,
+        *,
+        previews: bool = False,
     ) -> None:
         super().__init__()
         self._owner = owner
-        self._function = function
+        self._function = partial(function, preview=self._made.emit) if previews else function
         self._description = description
+        self.bar: _ProgressBar | None = None
+        self._holds = 0
+        self._has_ended = False
         self._last_report = ("", 0.0)
         self._worker = create_worker(
             self._work, _connect={"returned": self._on_returned}, _start_thread=False
         )
         self._worker.finished.connect(self._on_finished)
         self._reported.connect(self._on_reported)
+        self._made.connect(self._on_made)
 
     def start(self) -> None:
         """Start the thread and show the progress bar."""
         _running.add(self)
-        self.bar = _ProgressBar(total=STEPS, desc=self._description, cancel_callback=self.cancel)
+        if self._description:
+            self.bar = _ProgressBar(
+                total=STEPS, desc=self._description, cancel_callback=self.cancel
+            )
         self._worker.start()
+
+    def hold(self) -> None:
+        """Do not finish before `release`: what it returned is not shown yet."""
+        self._holds += 1
+
+    def release(self) -> None:
+        """Finish, if it has ended and nothing else holds it."""
+        self._holds -= 1
+        if self._has_ended:
+            self._on_finished()
 
     def cancel(self) -> None:
         """Ask the function to end at its next report; nothing is returned."""
@@ -126,9 +156,14 @@ class Run(QObject):
         if self.is_cancelled:
             return
         self.progressed.emit(step, done)
-        self.bar.set_description(step)
-        # The bar lets Qt handle events: the run may have ended within either call.
-        self.bar.update(round(STEPS * done) - self.bar.n)
+        if self.bar is not None:
+            self.bar.set_description(step)
+            # The bar lets Qt handle events: the run may have ended within either call.
+            self.bar.update(round(STEPS * done) - self.bar.n)
+
+    def _on_made(self, value: object) -> None:
+        if not self.is_cancelled:
+            self.previewed.emit(value)
 
     def _on_returned(self, result: _Done | _Refused | _Failed) -> None:
         if self.is_cancelled:
@@ -142,7 +177,11 @@ class Run(QObject):
                 notification_manager.receive_error(type(error), error, error.__traceback__)
 
     def _on_finished(self) -> None:
-        self.bar.close()
+        self._has_ended = True
+        if self._holds:
+            return
+        if self.bar is not None:
+            self.bar.close()
         _running.discard(self)
         self.finished.emit()
         self._owner = None
