@@ -6,7 +6,6 @@ import csv
 import io
 import math
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,6 @@ BLURRED, IN_FOCUS = "blurred", "in focus"
 
 _EIGHT_NEIGHBOURS = 2
 _CSV_DIGITS = 6
-_FINITE = sys.float_info.max
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +185,7 @@ class _Measures:
         unit: str,
     ) -> _Measures:
         return cls(
-            _checked_values("blur_map", blur_map, shape, _FINITE, "finite scales from 0 px up"),
+            _checked_values("blur_map", blur_map, shape, math.inf, "finite scales from 0 px up"),
             _checked_values("confidence", confidence, shape, 1.0, "values from 0 to 1"),
             _pixel_area(pixel_size),
             unit.replace("µ", "u").replace("μ", "u"),
@@ -261,7 +259,7 @@ def _checked_values(
     if values.shape != shape:
         raise ValueError(f"{name} has shape {values.shape}; it takes that of in_focus, {shape}")
     known = values[~np.isnan(values)]
-    if known.size and not 0 <= known.min() <= known.max() <= highest:
+    if known.size and not (0 <= known.min() <= known.max() <= highest and known.max() < math.inf):
         raise ValueError(
             f"{name} has values from {known.min():g} to {known.max():g}; it takes {takes}"
         )
