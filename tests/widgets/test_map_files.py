@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 from napari.components import ViewerModel
+from napari.errors import MultipleReaderError
 from napari.layers import Image, Labels
 from napari.plugins import _npe2
 from npe2 import PluginManifest
@@ -144,6 +145,14 @@ def test_pixels_without_a_size_get_none(tmp_path, viewer):
         assert tiff.pages.first.tags["ResolutionUnit"].value == 1
 
 
+def test_map_that_does_not_say_what_made_it_stays_so(tmp_path, viewer):
+    metadata = {METADATA_KEY: {"result": BLUR_MAP, "noise_variance": 1e-6}}
+    layer = viewer.add_image(np.ones((9, 9), np.float32), name="true", metadata=metadata)
+    again = read_map(save_map(layer, tmp_path / "true-blur.tif"))
+    assert again.metadata == metadata
+    assert settings_of_map(again) is None
+
+
 def test_lens_file_that_has_gone_does_not_stop_opening(tmp_path, measured):
     layer = measured[1]
     layer.metadata[METADATA_KEY]["settings"]["psf"] = str(tmp_path / "gone.npz")
@@ -212,9 +221,25 @@ def test_other_tiffs_open_as_ever_without_a_question(tmp_path, plugins, name):
     values = np.arange(20, dtype=np.uint16).reshape(4, 5)
     tifffile.imwrite(tmp_path / name, values)
     assert list(_npe2.get_readers(tmp_path / name)) == ["napari"]
-    [layer] = ViewerModel().open(tmp_path / name)
+    [layer] = ViewerModel().open(tmp_path / name, plugin=None)
     np.testing.assert_array_equal(layer.data, values)
     assert not any(fnmatch.fnmatch(name, pattern) for pattern in PATTERNS)
+
+
+def test_plugin_that_is_remembered_opens_maps_unasked_and_leaves_other_tiffs_to_napari(
+    tmp_path, plugins, measured, monkeypatch
+):
+    path = save_map(measured[1], tmp_path / "photo-blur.tif")
+    with pytest.raises(MultipleReaderError):
+        ViewerModel().open(path, plugin=None)
+    chosen = "napari.components.viewer_model.get_preferred_reader"
+    monkeypatch.setattr(chosen, lambda _: "napari-defocus")
+    [layer] = ViewerModel().open(path, plugin=None)
+    assert_same(layer, measured[1])
+    tifffile.imwrite(tmp_path / "other.tif", np.zeros((4, 5), np.uint8))
+    with pytest.warns(RuntimeWarning, match="Can't find napari-defocus"):
+        [layer] = ViewerModel().open(tmp_path / "other.tif", plugin=None)
+    assert layer.source.reader_plugin == "napari"
 
 
 def test_reader_refuses_what_only_has_the_name_of_a_map(tmp_path):
@@ -283,7 +308,8 @@ def test_map_of_the_terminal_opens_as_one_of_ours(tmp_path, plugins, photograph,
     [image] = viewer.open(photograph)
     [layer] = viewer.open(tmp_path / "photo-blur.tif", plugin="napari-defocus")
     viewer.open(sure, plugin="napari-defocus")
-    assert layer.name == "photo blur (px)"
+    what = "standard deviation " if "gaussian" in option else ""
+    assert layer.name == f"photo blur {what}(px)"
     np.testing.assert_array_equal(layer.data, tifffile.imread(tmp_path / "photo-blur.tif"))
     assert made_by_us(layer) == BLUR_MAP
     assert settings_of_map(layer).smoothness == 7
@@ -311,3 +337,13 @@ def test_layers_of_other_kinds_are_none_of_ours():
             save_map(layer, "nowhere.tif")
     with pytest.raises(NotAMapError):
         save_map(Labels(np.zeros((4, 4), int)), "nowhere.tif")
+
+
+@pytest.mark.display
+def test_layers_that_napari_lends_to_plugins_are_saved_and_opened(tmp_path, window):
+    metadata = {METADATA_KEY: {"result": BLUR_MAP, "noise_variance": 1e-6}}
+    layer = window.add_image(np.eye(9, dtype=np.float32), name="photo blur", metadata=metadata)
+    again = open_map(window, save_map(layer, tmp_path / "photo-blur.tif"))
+    np.testing.assert_array_equal(again.data, np.eye(9))
+    assert again.metadata == metadata
+    assert again.colorbar.visible

@@ -52,9 +52,6 @@ ENDING_OF = {BLUR_MAP: "-blur.tif", CONFIDENCE: "-confidence.tif"}
 
 LayerTuple = tuple[Any, dict[str, Any], str]
 
-# What a description says for other programs, besides what made the values.
-_NOT_MADE = ("quantity", "unit", "software", "shape", "layer", "max_scale")
-
 
 class NotAMapError(ValueError):
     """What is to be saved, or a file, is no blur map or confidence; the message says so."""
@@ -163,12 +160,11 @@ def read_map(path: str | os.PathLike[str]) -> Image:
             "Open it as a picture instead."
         )
     made = _made(description, result, Path(path))
-    largest = description.get("max_scale") or _largest_scale(made["settings"])
+    largest = description.get("max_scale") or _largest_scale(made.get("settings", {}))
     placed = description.get("layer", {})
-    name = f"{made['source']} {'blur (px)' if result == BLUR_MAP else CONFIDENCE}"
     layer = Image(
         values_in_tiff(path),
-        name=placed.get("name", name),
+        name=placed.get("name") or _usual_name(made, result),
         colormap=COLOR_MAP if result == BLUR_MAP else CONFIDENCE_COLOR_MAP,
         contrast_limits=(0.0, largest if result == BLUR_MAP else 1.0),
         metadata={METADATA_KEY: made},
@@ -214,9 +210,11 @@ def _beside(path: Path, ending: str) -> Path:
 def _encoded(layer: LayerTuple) -> bytes:
     data, keywords, _ = layer
     made = dict(keywords["metadata"][METADATA_KEY])
+    # The file says more than the layer, such as the version of this package.
+    placed = _placed(keywords) | {"metadata": list(made)}
     settings = made.pop("settings", None) or {}
     values = np.asarray(data[0] if keywords.get("multiscale") else data)
-    more = made | {"layer": _placed(keywords)}
+    more = made | {"layer": placed}
     size = _pixel_size(keywords)
     if made["result"] == CONFIDENCE:
         return confidence_tiff(values, settings, made=more, pixel_size=size)
@@ -254,8 +252,8 @@ def _largest_scale(settings: dict[str, Any], otherwise: float = MapSettings.max_
 
 def _made(description: dict[str, Any], result: str, path: Path) -> dict[str, Any]:
     """Return the metadata of a layer."""
-    if "result" in description:
-        return {key: value for key, value in description.items() if key not in _NOT_MADE}
+    if "layer" in description:
+        return {key: description[key] for key in description["layer"]["metadata"]}
     # The terminal wrote it: its settings say the variance that was found, and a little more.
     told = dict(description.get("settings", {}))
     settings = {field.name: told[field.name] for field in fields(MapSettings) if field.name in told}
@@ -270,6 +268,15 @@ def _made(description: dict[str, Any], result: str, path: Path) -> dict[str, Any
     }
     made |= {"scale": description["scale"]} if "scale" in description else {}
     return made | {key: told[key] for key in ("min_confidence",) if key in told}
+
+
+def _usual_name(made: dict[str, Any], result: str) -> str:
+    """Return what `result_layers` calls such a layer."""
+    if result == CONFIDENCE:
+        return f"{made['source']} {CONFIDENCE}"
+    scale = made.get("scale", "radius (px)")
+    what = "" if scale.endswith("radius (px)") else scale.removesuffix("(px)")
+    return f"{made['source']} blur {what}(px)"
 
 
 def _encoded_mask(layer: LayerTuple) -> bytes:
