@@ -11,6 +11,7 @@ from napari.components import ViewerModel
 from napari.errors import MultipleReaderError
 from napari.layers import Image, Labels
 from napari.plugins import _npe2
+from napari.plugins.io import save_layers
 from npe2 import PluginManifest
 from PIL import Image as Picture
 from typer.testing import CliRunner
@@ -27,6 +28,7 @@ from napari_defocus.widgets.map_files import (
     open_map,
     read_map,
     save_map,
+    save_mask,
 )
 from napari_defocus.widgets.map_source import may_be_map_of, settings_of_map, source_of_layer
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
@@ -271,17 +273,27 @@ def test_map_is_saved_by_the_plugin_where_it_is_chosen(tmp_path, plugins, viewer
     assert "Defocus Blur map (px) as TIFF (*.tif *.tiff)" in offered.split(";;")
 
 
-def test_mask_is_saved_beside_its_map(tmp_path, plugins, viewer, measured):
-    viewer.layers.selection = {measured[1], measured[3]}
-    path = tmp_path / "photo-blur.tif"
-    saved = viewer.layers.save(str(path), selected=True, plugin="napari-defocus")
-    assert saved == [str(path), str(tmp_path / "photo-mask.png")]
-    drawn = np.asarray(Picture.open(tmp_path / "photo-mask.png"))
-    np.testing.assert_array_equal(drawn, 255 * measured[3].data)
-    path.unlink()
+def test_name_that_gets_an_ending_in_the_dialog_overwrites_nothing(tmp_path, plugins, measured):
+    [writer] = MANIFEST.contributions.writers
+    (tmp_path / "photo-blur.tif").write_text("mine")
     with pytest.raises(OSError, match="it exists already"):
-        viewer.layers.save(str(path), selected=True, plugin="napari-defocus")
-    assert not path.exists()
+        save_layers(str(tmp_path / "photo"), [measured[1]], _writer=writer)
+    assert (tmp_path / "photo-blur.tif").read_text() == "mine"
+
+
+def test_picture_with_labels_is_not_offered_as_a_map(plugins, measured):
+    offered, _ = _npe2.file_extensions_string_for_layers([measured[0], measured[3]])
+    assert "Defocus" not in offered
+
+
+def test_mask_is_saved_as_the_terminal_saves_it(tmp_path, measured):
+    path = save_mask(measured[3], tmp_path / "photo")
+    assert path == tmp_path / "photo-mask.png"
+    np.testing.assert_array_equal(np.asarray(Picture.open(path)), 255 * measured[3].data)
+    with pytest.raises(OSError, match="it exists already"):
+        save_mask(measured[3], path)
+    with pytest.raises(NotAMapError, match="“Labels” is no in-focus mask"):
+        save_mask(Labels(np.zeros((4, 4), int)), tmp_path / "a.png")
 
 
 # The terminal.

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 from napari.components import ViewerModel
-from napari.layers import Image, Layer
+from napari.layers import Image, Labels, Layer
 
-from napari_defocus.files import check_results, write_results
+from napari_defocus.files import write_results
 from napari_defocus.results import (
     blur_map_tiff,
     confidence_tiff,
@@ -33,6 +33,7 @@ from napari_defocus.widgets.results import (
     IN_FOCUS,
     METADATA_KEY,
     PLACEMENT,
+    made_by_us,
 )
 
 PATTERNS = (
@@ -90,35 +91,68 @@ def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False)
     return target
 
 
-def write_maps(path: str, layers: Sequence[LayerTuple]) -> list[str]:
-    """Save a blur map or its confidence, and its in-focus mask if that is chosen too.
+def save_mask(layer: Labels, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+    """Save an in-focus mask as the PNG file that the terminal writes: white is in focus.
 
-    napari's dialog has asked before it overwrites the file; a mask, which gets the name of the
-    map with ``-mask.png``, is not written over another file.
+    Parameters
+    ----------
+    layer : napari.layers.Labels
+        One of ours, of one plane.
+    path : path-like
+        A name without .png gets ``-mask.png``.
+    force : bool, optional
+        Whether a file that exists is overwritten.
+
+    Returns
+    -------
+    Path
+        The file that was written, whole or not at all.
+
+    Raises
+    ------
+    NotAMapError
+        If the layer is another one.
+    OSError
+        If the file cannot be written, or exists and `force` is not set.
+    """
+    mask = np.asarray(layer.data)
+    if made_by_us(layer) != IN_FOCUS or max(mask.shape[:-2], default=1) > 1:
+        raise NotAMapError(f"“{layer.name}” is no in-focus mask of one plane by this plugin.")
+    target = Path(path)
+    if target.suffix.lower() != ".png":
+        target = target.with_name(f"{target.name}-mask.png")
+    write_results({target: mask_png(mask.reshape(mask.shape[-2:]))}, force=force)
+    return target
+
+
+def write_maps(path: str, layers: Sequence[LayerTuple]) -> list[str]:
+    """Save a blur map or its confidence, as `save_map`: what the manifest names.
+
+    napari's dialog has asked before it overwrites the file.
 
     Parameters
     ----------
     path : str
     layers : sequence of layer data tuples
-        An image layer, and a labels layer at most.
+        The image layer, and no other.
 
     Returns
     -------
     list of str
-        The files that were written.
+        The file that was written; it may have got an ending.
 
     Raises
     ------
     NotAMapError, OSError
         As `save_map`.
     """
-    [picture] = [layer for layer in layers if layer[2] == "image"]
-    masks = [layer for layer in layers if layer[2] == "labels"]
-    target = _named(Path(path), _result_of(picture))
-    contents = {_beside(target, "-mask.png"): _encoded_mask(mask) for mask in masks}
-    check_results(contents)
-    write_results({target: _encoded(picture), **contents}, force=True)
-    return [str(target), *map(str, contents)]
+    if len(layers) != 1:
+        raise NotAMapError("A blur map is saved on its own. Choose its layer only.")
+    [layer] = layers
+    target = _named(Path(path), _result_of(layer))
+    # The dialog knows nothing of an ending that the name gets here.
+    write_results({target: _encoded(layer)}, force=target == Path(path))
+    return [str(target)]
 
 
 def map_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Image]] | None:
@@ -203,10 +237,6 @@ def _named(path: Path, result: str) -> Path:
     return whole if fits else path.with_name(path.name + ENDING_OF[result])
 
 
-def _beside(path: Path, ending: str) -> Path:
-    return path.with_name(path.stem.removesuffix("-blur").removesuffix(" blur (px)") + ending)
-
-
 def _encoded(layer: LayerTuple) -> bytes:
     data, keywords, _ = layer
     made = dict(keywords["metadata"][METADATA_KEY])
@@ -277,14 +307,3 @@ def _usual_name(made: dict[str, Any], result: str) -> str:
     scale = made.get("scale", "radius (px)")
     what = "" if scale.endswith("radius (px)") else scale.removesuffix("(px)")
     return f"{made['source']} blur {what}(px)"
-
-
-def _encoded_mask(layer: LayerTuple) -> bytes:
-    data, keywords, _ = layer
-    made = keywords.get("metadata", {}).get(METADATA_KEY)
-    mask = np.squeeze(np.asarray(data))
-    if not isinstance(made, dict) or made.get("result") != IN_FOCUS or mask.ndim != 2:
-        raise NotAMapError(
-            f"“{keywords.get('name')}” is no in-focus mask of one plane. Save it on its own."
-        )
-    return mask_png(mask)
