@@ -25,6 +25,7 @@ PUBLIC = {
     "PSFEvidence",
     "PSFFamily",
     "Polygon",
+    "RegionTable",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",
@@ -42,6 +43,7 @@ PUBLIC = {
     "fit_report",
     "label_blur_map",
     "labeling_energy",
+    "measure_regions",
     "psf_from_text",
     "restore_all_in_focus",
     "segment_in_focus",
@@ -104,6 +106,7 @@ RESULTS = {
     "PSFComparison",
     "PSFEvidence",
     "PSFFamily",
+    "RegionTable",
 }
 
 

@@ -1,5 +1,6 @@
 """The terminal command: what it prints, what it writes, and how it fails."""
 
+import csv
 import json
 import os
 import subprocess
@@ -111,6 +112,47 @@ def test_segment_keeps_to_the_seeds_and_tells_of_them(picture, ending):
     mask = np.asarray(Image.open(picture.with_name("seed-mask.png")))
     assert (mask[seeds == 1] == 255).all()
     assert (mask[seeds == 2] == 0).all()
+
+
+def test_segment_writes_a_table_of_regions(picture):
+    path = picture.with_name("regions.csv")
+    result = run("segment", picture, "--regions", path)
+    assert result.exit_code == 0, result.output
+    assert names_in(picture.parent) == [
+        "regions.csv",
+        "seed-mask.png",
+        "seed-overlay.png",
+        "seed.png",
+    ]
+    with path.open(newline="") as file:
+        blurred, *regions = csv.DictReader(file)
+    assert f"{len(regions)} in focus" in result.stdout
+    assert blurred["part"] == "blurred"
+    assert {region["part"] for region in regions} <= {"in focus"}
+    mask = np.asarray(Image.open(picture.with_name("seed-mask.png")))
+    assert int(blurred["area_px"]) == (mask == 0).sum()
+    assert int(regions[0]["area_px"]) > 16
+    assert 0 < float(regions[0]["blur_median_px"]) <= 8
+    assert 0 <= float(regions[0]["confidence_mean"]) <= 1
+
+
+def test_json_of_segment_counts_the_regions_if_asked(picture, instant):
+    assert "regions" not in json.loads(run("segment", picture, "--json", "--force").stdout)
+    table = picture.with_name("regions.csv")
+    result = run("segment", picture, "--regions", table, "--json", "--force")
+    assert json.loads(result.stdout)["regions"] == 1
+    assert str(table) in json.loads(result.stdout)["files"]
+
+
+def test_table_of_regions_is_a_csv_and_not_written_over_another(picture, instant):
+    saying = "its name must end in .csv"
+    result = run("segment", picture, "--regions", picture.with_name("regions.txt"))
+    assert_fails_in_one_line(result, saying=saying)
+    picture.with_name("regions.csv").write_text("mine")
+    result = run("segment", picture, "--regions", picture.with_name("regions.csv"))
+    assert_fails_in_one_line(result, saying="it exists already")
+    assert not instant
+    assert picture.with_name("regions.csv").read_text() == "mine"
 
 
 def test_demo_measures_the_sample_and_can_be_run_again(tmp_path, instant):

@@ -15,10 +15,13 @@ from napari_defocus.results import (
     confidence_tiff,
     depth_png,
     depth_tiff,
+    description_in_tiff,
+    holds,
     mask_png,
     overlay_png,
     picture_png,
     settings_in_tiff,
+    values_in_tiff,
 )
 
 
@@ -116,6 +119,35 @@ def test_settings_are_found_again_in_the_file_that_says_them(tmp_path, ramp):
     (tmp_path / "text.tif").write_text("no picture")
     for name in ("other.tif", "text.tif", "none.tif", "."):
         assert settings_in_tiff(tmp_path / name) == {}
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (1, 6, 7), (3, 6, 4), (2, 3, 6, 7)])
+def test_stacks_of_maps_keep_their_values_and_shape(tmp_path, shape):
+    values = np.random.default_rng(0).uniform(0, 8, shape).astype(np.float32)
+    values.flat[3] = np.nan
+    (tmp_path / "map.tif").write_bytes(blur_map_tiff(values, {}))
+    again = values_in_tiff(tmp_path / "map.tif")
+    assert again.dtype == np.float32
+    np.testing.assert_array_equal(again, values)
+
+
+def test_file_says_what_it_holds(tmp_path, ramp):
+    for content, held in [
+        (blur_map_tiff(ramp, {}, "standard deviation (px)"), "blur map"),
+        (confidence_tiff(ramp / 8, {}), "confidence"),
+        (depth_tiff(ramp, {}), None),
+    ]:
+        (tmp_path / "any.tif").write_bytes(content)
+        assert holds(description_in_tiff(tmp_path / "any.tif")) == held
+    tifffile.imwrite(tmp_path / "any.tif", ramp, description='{"quantity": "defocus blur"}')
+    assert holds(description_in_tiff(tmp_path / "any.tif")) is None
+
+
+def test_what_made_a_map_may_be_numbers_of_numpy(tmp_path, ramp):
+    made = {"noise_variance": np.float32(0.5), "rows": np.arange(3)}
+    (tmp_path / "map.tif").write_bytes(blur_map_tiff(ramp, {}, made=made))
+    described = description_in_tiff(tmp_path / "map.tif")
+    assert (described["noise_variance"], described["rows"]) == (0.5, [0, 1, 2])
 
 
 def test_depth_tiff_keeps_what_is_infinite_or_not_known(tmp_path):

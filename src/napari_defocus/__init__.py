@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from napari_defocus.psf_text import psf_from_text
     from napari_defocus.refocusing import change_focus
+    from napari_defocus.regions import RegionTable, measure_regions
     from napari_defocus.restoration import restore_all_in_focus
     from napari_defocus.segmentation import segment_in_focus
     from napari_defocus.simulation import simulate_defocus
@@ -52,6 +53,7 @@ _HOME_OF = {
     "PSFEvidence": "comparison",
     "PSFFamily": "psf",
     "Polygon": "psf",
+    "RegionTable": "regions",
     "ShotNoise": "noise",
     "ThinLens": "depth",
     "blur_from_depth": "depth",
@@ -69,6 +71,7 @@ _HOME_OF = {
     "fit_report": "spectrum",
     "label_blur_map": "labeling",
     "labeling_energy": "labeling",
+    "measure_regions": "regions",
     "psf_from_text": "psf_text",
     "restore_all_in_focus": "restoration",
     "segment_in_focus": "segmentation",
@@ -91,6 +94,7 @@ __all__ = [
     "PSFEvidence",
     "PSFFamily",
     "Polygon",
+    "RegionTable",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",
@@ -108,6 +112,7 @@ __all__ = [
     "fit_report",
     "label_blur_map",
     "labeling_energy",
+    "measure_regions",
     "psf_from_text",
     "restore_all_in_focus",
     "segment_in_focus",

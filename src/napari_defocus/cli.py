@@ -33,6 +33,7 @@ from napari_defocus.commands import (
     OverlayOutput,
     PSFText,
     Quiet,
+    RegionsOutput,
     SeedsPath,
     ShotNoiseOption,
     Threshold,
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_defocus.candidates import BlurCandidates
+    from napari_defocus.regions import RegionTable
 
 app = typer.Typer(
     name="napari-defocus",
@@ -173,6 +175,7 @@ def segment_picture(
     intensity_range: IntensityRange = None,
     output: MaskOutput = None,
     overlay: OverlayOutput = None,
+    regions: RegionsOutput = None,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -180,7 +183,9 @@ def segment_picture(
     """Find what is in focus in IMAGE."""
     if output is None and overlay is None:
         output, overlay = beside(image, "-mask.png"), beside(image, "-overlay.png")
-    outputs = [path for path in (output, overlay) if path is not None]
+    pictures = [path for path in (output, overlay) if path is not None]
+    tables = [regions] if regions else []
+    outputs = [*pictures, *tables]
 
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
@@ -200,18 +205,27 @@ def segment_picture(
             color_sigma=color_sigma,
         )
         check_threshold(mask_settings.threshold, family.max_scale)
-        check_endings(outputs, ".png")
+        check_endings(pictures, ".png")
+        check_endings(tables, ".csv")
         picture = files.read_picture(image)
         known = _seeds(seeds, picture)
         for source in (image, seeds):
             files.check_results(outputs, force=force, source=source)
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, intensity_range, first)
+        third = within(second, 0.5 if regions else 1.0, 1.0)
+        second = within(second, 0.0, 0.5 if regions else 1.0)
         mask = _mask(candidates, picture, mask_settings, intensity_range, second, known)
         contents = _encoded_masks(output, overlay, picture, mask, intensity_range)
-        files.write_results(contents, force=force)
         facts = picture_facts(image, outputs, candidates, settings) | _mask_facts(mask)
-        return facts | _seeds_facts(seeds, known)
+        facts |= _seeds_facts(seeds, known)
+        if regions:
+            found = label_map(candidates, picture, settings, intensity_range, third)
+            table = _region_table(mask, found)
+            contents[regions] = table.as_csv()
+            facts |= {"regions": len(table) - 1}
+        files.write_results(contents, force=force)
+        return facts
 
     run(measure, _lines, as_json, quiet)
 
@@ -267,6 +281,8 @@ def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
     yield from lines_of(facts)
     if "in_focus_percent" in facts:
         yield f"in focus     {facts['in_focus_percent']:.1f} % of the picture"
+    if "regions" in facts:
+        yield f"regions      {facts['regions']} in focus"
     if facts.get("seeds"):
         known = facts["seeds"]
         yield (
@@ -278,6 +294,11 @@ def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
 
 def _mask_facts(mask: NDArray[Any]) -> dict[str, Any]:
     return {"in_focus_percent": 100.0 * float((mask != 0).mean())}
+
+
+def _region_table(mask: NDArray[Any], found: Measurement) -> RegionTable:
+    _, table = napari_defocus.measure_regions(mask, found.blur_map, found.confidence)
+    return table
 
 
 def _seeds(path: Path | None, picture: NDArray[Any]) -> NDArray[Any] | None:

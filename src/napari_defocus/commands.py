@@ -158,6 +158,15 @@ OverlayOutput = Annotated[
         "[default: NAME-overlay.png beside IMAGE, and the mask too]",
     ),
 ]
+RegionsOutput = Annotated[
+    Path | None,
+    typer.Option(
+        "--regions",
+        metavar="PATH",
+        help="Where to write a table of the regions in focus (.csv): area, place, and how wide "
+        "their blur is and how sure. The map is measured for it, too.",
+    ),
+]
 KnownMap = Annotated[
     Path | None,
     typer.Option(

@@ -18,6 +18,10 @@ from napari_defocus.image import prepare_image
 from napari_defocus.psf import Disc
 from napari_defocus.settings import MapSettings
 
+SOFTWARE = "napari-defocus"
+_BLUR_QUANTITY = "defocus blur"
+_CONFIDENCE_QUANTITY = "confidence of the blur map"
+
 COLOR_MAP = "viridis"
 NOT_TRUSTED_COLOR = (0.35, 0.35, 0.35)
 DEPTH_COLOR_MAP = "magma_r"
@@ -36,32 +40,50 @@ OUTLINE_COLOR = (1.0, 0.85, 0.0)
 
 
 def blur_map_tiff(
-    blur_map: ArrayLike, settings: Mapping[str, Any], scale_name: str = Disc.scale_name
+    blur_map: ArrayLike,
+    settings: Mapping[str, Any],
+    scale_name: str = Disc.scale_name,
+    *,
+    made: Mapping[str, Any] | None = None,
+    pixel_size: tuple[float, float] | None = None,
 ) -> bytes:
     """Encode the values of a blur map as a TIFF file.
 
     Parameters
     ----------
-    blur_map : (H, W) array_like
+    blur_map : (..., H, W) array_like
         Blur scale, in px; NaN where it is not trusted.
     settings : mapping
         What made the map; anything that JSON can hold.
     scale_name : str
         What the PSF family's scale measures.
+    made : mapping, optional
+        What else is known about it, such as its source and another version that made it.
+    pixel_size : (float, float), optional
+        Height and width of a pixel, in m, for the resolution that other programs show.
 
     Returns
     -------
     bytes
-        A float32 TIFF, deflate-compressed. Its ImageDescription is a JSON object that says
-        the quantity, the unit, the version of this package and the settings.
+        A float32 TIFF, deflate-compressed, a page a plane. Its ImageDescription is a JSON object
+        that says the quantity, the unit, the version of this package, the settings, the shape,
+        and what is in `made`.
     """
-    quantity = f"defocus blur {scale_name.removesuffix(' (px)')}"
-    return _tiff(blur_map, {"quantity": quantity, "unit": "px"}, settings)
+    quantity = f"{_BLUR_QUANTITY} {scale_name.removesuffix(' (px)')}"
+    what = {"quantity": quantity, "unit": "px", "scale": scale_name}
+    return _tiff(blur_map, what, settings, made, pixel_size)
 
 
-def confidence_tiff(confidence: ArrayLike, settings: Mapping[str, Any]) -> bytes:
-    """Encode a confidence map, (H, W) in [0, 1], as a float32 TIFF file like `blur_map_tiff`."""
-    return _tiff(confidence, {"quantity": "confidence of the blur map", "unit": "1"}, settings)
+def confidence_tiff(
+    confidence: ArrayLike,
+    settings: Mapping[str, Any],
+    *,
+    made: Mapping[str, Any] | None = None,
+    pixel_size: tuple[float, float] | None = None,
+) -> bytes:
+    """Encode a confidence map, (..., H, W) in [0, 1], as a TIFF file like `blur_map_tiff`."""
+    what = {"quantity": _CONFIDENCE_QUANTITY, "unit": "1"}
+    return _tiff(confidence, what, settings, made, pixel_size)
 
 
 def depth_tiff(depth: ArrayLike, settings: Mapping[str, Any]) -> bytes:
@@ -74,7 +96,8 @@ def depth_tiff(depth: ArrayLike, settings: Mapping[str, Any]) -> bytes:
 
 def picture_tiff(picture: ArrayLike, quantity: str, settings: Mapping[str, Any]) -> bytes:
     """Encode a picture, (H, W[, 3 or 4]) in [0, 1], as a float32 TIFF file like `blur_map_tiff`."""
-    return _tiff(picture, {"quantity": quantity, "unit": "1"}, settings)
+    color = np.ndim(picture) == 3
+    return _tiff(picture, {"quantity": quantity, "unit": "1"}, settings, color=color)
 
 
 def picture_png(picture: ArrayLike, source: ArrayLike) -> bytes:
@@ -108,38 +131,114 @@ def with_opacity(picture: ArrayLike, source: ArrayLike) -> NDArray[np.float32]:
     return np.dstack([color[..., :3], given[..., 3] / np.float32(full)])
 
 
-def _tiff(values: ArrayLike, what: Mapping[str, str], settings: Mapping[str, Any]) -> bytes:
+def _tiff(
+    values: ArrayLike,
+    what: Mapping[str, str],
+    settings: Mapping[str, Any],
+    made: Mapping[str, Any] | None = None,
+    pixel_size: tuple[float, float] | None = None,
+    color: bool = False,
+) -> bytes:
     import tifffile
 
+    array = np.asarray(values, np.float32)
     description = {
         **what,
-        "software": "napari-defocus",
+        "software": SOFTWARE,
         "version": napari_defocus.__version__,
         "settings": dict(settings),
+        "shape": array.shape,
+        **(made or {}),
     }
-    array = np.asarray(values, np.float32)
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
         array,
-        photometric="minisblack" if array.ndim == 2 else "rgb",
-        extrasamples=["unassalpha"] if array.shape[2:] == (4,) else None,
+        photometric="rgb" if color else "minisblack",
+        extrasamples=["unassalpha"] if color and array.shape[2:] == (4,) else None,
         compression="zlib",
-        description=json.dumps(description),
-        software=f"napari-defocus {napari_defocus.__version__}",
+        description=json.dumps(description, default=_plain),
+        software=f"{SOFTWARE} {napari_defocus.__version__}",
         metadata=None,
+        **_resolution(pixel_size),
     )
     return buffer.getvalue()
 
 
-def settings_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what a TIFF of `blur_map_tiff` says made it; nothing if it is another file."""
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold for a value of NumPy; the name of anything else."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+
+def _resolution(pixel_size: tuple[float, float] | None) -> dict[str, Any]:
+    if pixel_size is None:
+        return {}
+    height, width = pixel_size
+    return {"resolution": (0.01 / width, 0.01 / height), "resolutionunit": "CENTIMETER"}
+
+
+def description_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a TIFF of this module says about itself; nothing if it is another file.
+
+    No pixels are read.
+    """
     import tifffile
 
     # Damaged files raise anything; reading them as pictures says what is wrong with them.
     with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        return dict(json.loads(tiff.pages.first.description)["settings"])
+        found = json.loads(tiff.pages.first.description)
+        return found if found["software"] == SOFTWARE else {}
     return {}
+
+
+def settings_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a TIFF of `blur_map_tiff` says made it; nothing if it is another file."""
+    return dict(description_in_tiff(path).get("settings", {}))
+
+
+def holds(description: Mapping[str, Any]) -> str | None:
+    """Return what the file of a description holds: "blur map", "confidence", or None."""
+    quantity = str(description.get("quantity"))
+    if quantity.startswith(_BLUR_QUANTITY):
+        return "blur map"
+    return "confidence" if quantity == _CONFIDENCE_QUANTITY else None
+
+
+def values_in_tiff(path: str | os.PathLike[str]) -> NDArray[Any]:
+    """Return the values that a TIFF of `blur_map_tiff` or `confidence_tiff` holds.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    (..., H, W) float32 ndarray
+        As they were, bit for bit.
+
+    Raises
+    ------
+    ValueError
+        If the file is cut off or damaged.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "stack-blur.tif")
+    ...     _ = file.write_bytes(blur_map_tiff(np.ones((1, 4, 5)), {}))
+    ...     values_in_tiff(file).shape
+    (1, 4, 5)
+    """
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            pages = np.stack([page.asarray() for page in tiff.pages])
+        # Files from before stacks were written do not say their shape.
+        return pages.reshape(description_in_tiff(path).get("shape", pages.shape[1:]))
+    except Exception as error:
+        raise ValueError(f"cannot read {path}: the file is cut off or damaged") from error
 
 
 def blur_map_png(

@@ -13,7 +13,7 @@ from napari_defocus.widgets.samples import ramp
 
 MANIFEST = PluginManifest.from_file(Path(napari_defocus.__file__).with_name("napari.yaml"))
 CONTRIBUTIONS = MANIFEST.contributions
-WITHOUT_QT = ("analysis", "restored", "distances", "picker")
+WITHOUT_QT = ("analysis", "restored", "distances", "map_files", "picker", "region_table")
 
 
 @pytest.fixture
@@ -39,6 +39,14 @@ def test_every_widget_is_in_the_plugins_menu_and_in_the_layers_menu():
     assert {item.command for item in CONTRIBUTIONS.menus[submenu.id]} == widgets
     for menu in ("napari/layers/measure", "napari/layers/segment"):
         assert [item.submenu for item in CONTRIBUTIONS.menus[menu]] == [submenu.id]
+
+
+def test_napari_s_own_writer_stays_the_first_for_images(npe2pm):
+    npe2pm.register(MANIFEST)
+    npe2pm.register(PluginManifest.from_distribution("napari"))
+    commands = [writer.command for writer in npe2pm.iter_compatible_writers(["image"])]
+    assert commands[0] == "napari.write_image"
+    assert "napari-defocus.write_maps" in commands
 
 
 @pytest.mark.parametrize(

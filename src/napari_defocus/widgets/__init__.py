@@ -16,7 +16,9 @@ _HOME_OF = {
     "MapAndMaskWidget": "map_and_mask",
     "brushes": "samples",
     "dandelion": "samples",
+    "map_reader": "map_files",
     "simulated_ramp": "samples",
+    "write_maps": "map_files",
 }
 
 

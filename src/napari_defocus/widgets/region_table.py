@@ -1,0 +1,154 @@
+"""Regions in focus as a labels layer whose features are their table.
+
+napari shows the row under the cursor, and all rows in its own features table. No Qt here, as in
+`layers`.
+"""
+
+from typing import Any
+
+import numpy as np
+from napari.components import ViewerModel
+from napari.layers import Image, Labels, Layer
+from napari.types import LayerDataTuple
+from napari.utils.notifications import show_info, show_warning
+from numpy.typing import NDArray
+
+from napari_defocus.regions import RegionTable, measure_focus, measure_regions
+from napari_defocus.widgets.layers import (
+    NotAnalysableError,
+    Plane,
+    finest,
+    shown_index,
+    shown_plane,
+)
+from napari_defocus.widgets.results import (
+    BLUR_MAP,
+    CONFIDENCE,
+    IN_FOCUS,
+    METADATA_KEY,
+    layer_of_result,
+    provenance,
+    show_results,
+)
+
+REGIONS = "regions"
+OPACITY = 0.5
+
+NO_MASK = (
+    "“{name}” has no in-focus mask here whose regions could be measured. "
+    "Run “In focus”, or “Blur map and in focus”, first."
+)
+TABLE_HINT = "Their table is in the menu Layers > Metadata > Features table widget."
+
+
+def add_regions(viewer: ViewerModel, image: Image) -> Labels | None:
+    """Measure the regions in focus of the plane of an image that a viewer shows, and add them.
+
+    The mask, the blur map and its confidence are those that our widgets have made of the image.
+    Without a map the table has no radii, without a confidence it does not say how sure they are:
+    a message says so. The mask itself gets a table of two rows: blurred, and in focus.
+
+    Parameters
+    ----------
+    viewer : napari.components.ViewerModel or napari.Viewer
+    image : napari.layers.Image
+
+    Returns
+    -------
+    napari.layers.Labels or None
+        The layer of `regions_layer`; None, and a message, if there is no mask.
+    """
+    try:
+        plane = shown_plane(image, viewer.dims)
+    except NotAnalysableError as reason:
+        show_warning(f"Cannot measure the regions of “{image.name}”: {reason}")
+        return None
+    mask_layer, mask = _shown(viewer, plane, IN_FOCUS)
+    if mask_layer is None or mask is None:
+        show_warning(NO_MASK.format(name=plane.name))
+        return None
+    maps = {name: _shown(viewer, plane, name)[1] for name in (BLUR_MAP, CONFIDENCE)}
+    measures = {"blur_map": maps[BLUR_MAP], "confidence": maps[CONFIDENCE], **_pixels(plane)}
+    labels, table = measure_regions(mask, **measures)
+    if finest(mask_layer).size == mask.size:
+        mask_layer.features = dict(measure_focus(mask, **measures).columns)
+    [layer] = show_results(viewer, [regions_layer(plane, labels, table, mask_layer)])
+    # Those of an earlier run are not updated by `show_results`.
+    layer.features = dict(table.columns)
+    show_info(" ".join([_counted(table), TABLE_HINT, *_missing(plane.name, maps)]))
+    return layer
+
+
+def regions_layer(
+    plane: Plane, labels: NDArray[np.int32], table: RegionTable, mask: Layer
+) -> LayerDataTuple:
+    """Return regions in focus as a labels layer that lies on the plane.
+
+    Parameters
+    ----------
+    plane : Plane
+        What the mask was made from.
+    labels : (H, W) int32 ndarray
+    table : RegionTable
+        Its columns become the features: napari finds the row of a label by ``index``.
+    mask : napari.layers.Layer
+        Whose regions they are; its metadata say what made it.
+
+    Returns
+    -------
+    LayerDataTuple
+    """
+    settings = mask.metadata[METADATA_KEY].get("settings", {})
+    keywords = {
+        "name": f"{plane.name} regions",
+        "opacity": OPACITY,
+        "features": dict(table.columns),
+        "metadata": provenance(plane, REGIONS, settings, mask=mask.name),
+        **plane.placement,
+    }
+    return LayerDataTuple((plane.expanded(labels), keywords, "labels"))
+
+
+def _shown(
+    viewer: ViewerModel, plane: Plane, result: str
+) -> tuple[Layer | None, NDArray[Any] | None]:
+    """Return the layer of a result of an image, and its values on the plane; None if missing."""
+    layer = layer_of_result(viewer.layers, result, plane.name)
+    if layer is None:
+        return None, None
+    data = finest(layer)
+    try:
+        values = np.asarray(data[shown_index(layer, viewer.dims, data.shape)])
+    except NotAnalysableError:
+        return layer, None
+    return layer, values if values.shape == plane.shape else None
+
+
+def _pixels(plane: Plane) -> dict[str, Any]:
+    """Return the size of a pixel, and its unit; nothing if units are no lengths."""
+    across = [axis for axis, at in enumerate(plane.index) if isinstance(at, slice)][-2:]
+    units = [plane.placement["units"][axis] for axis in across]
+    if not all(unit.is_compatible_with("meter") for unit in units):
+        return {}
+    sides = [
+        abs(float((plane.placement["scale"][axis] * unit).to(units[-1]).magnitude))
+        for axis, unit in zip(across, units, strict=True)
+    ]
+    return {"pixel_size": sides, "unit": f"{units[-1]:~}"}
+
+
+def _counted(table: RegionTable) -> str:
+    count = len(table) - 1
+    if not count:
+        return "Nothing is in focus."
+    share = table.columns["share_percent"][1]
+    regions = "1 region is" if count == 1 else f"{count} regions are"
+    return f"{regions} in focus; the largest is {share:.1f} % of the picture."
+
+
+def _missing(name: str, maps: dict[str, Any]) -> list[str]:
+    if maps[BLUR_MAP] is None:
+        return [f"It has no radii: run “Blur map” on “{name}” first to have them."]
+    if maps[CONFIDENCE] is None:
+        return [f"It does not say how sure it is: “{name}” has no confidence layer."]
+    return []
