@@ -25,6 +25,7 @@ PUBLIC = {
     "PSFEvidence",
     "PSFFamily",
     "Polygon",
+    "Settings",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from napari_defocus.refocusing import change_focus
     from napari_defocus.restoration import restore_all_in_focus
     from napari_defocus.segmentation import segment_in_focus
+    from napari_defocus.settings_file import Settings
     from napari_defocus.simulation import simulate_defocus
     from napari_defocus.spectrum import FitReport, fit_report
     from napari_defocus.surface import DepthSurface, depth_surface
@@ -52,6 +53,7 @@ _HOME_OF = {
     "PSFEvidence": "comparison",
     "PSFFamily": "psf",
     "Polygon": "psf",
+    "Settings": "settings_file",
     "ShotNoise": "noise",
     "ThinLens": "depth",
     "blur_from_depth": "depth",
@@ -91,6 +93,7 @@ __all__ = [
     "PSFEvidence",
     "PSFFamily",
     "Polygon",
+    "Settings",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",
