@@ -35,7 +35,6 @@ from napari_defocus.widgets.script import script_of
 from napari_defocus.widgets.script_text import text_literal
 from napari_defocus.widgets.seeds import Seeds
 
-PROJECT = Path(napari_defocus.__file__).parents[2]
 ALL = (slice(None), slice(None))
 VARIABLE_OF = {
     "blur map": "blur_map",
@@ -48,13 +47,15 @@ VARIABLE_OF = {
 TRICKY_NAME = "l'œil \"\"\" \\N{x}\nimport os\u2028\ud800#'''"
 
 RUN = """
-import pickle, runpy, sys
+import contextlib, io, pickle, runpy, sys
 scripts, results = sys.argv[1:]
+kept = ("blur_map", "confidence", "in_focus", "all_in_focus", "refocused", "depth")
 found = {}
 for line in open(scripts, encoding="utf-8"):
-    variables = runpy.run_path(line.rstrip())
-    kept = ("blur_map", "confidence", "in_focus", "all_in_focus", "refocused", "depth")
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        variables = runpy.run_path(line.rstrip())
     found[line.rstrip()] = {name: variables[name] for name in kept if name in variables}
+    found[line.rstrip()]["said"] = said.getvalue()
 assert not {"napari", "qtpy", "magicgui"} & set(sys.modules)
 with open(results, "wb") as file:
     pickle.dump(found, file)
@@ -71,7 +72,7 @@ def run_scripts(folder, scripts):
     done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
     found = np.load(folder / "results", allow_pickle=True)
-    return {name: found[str(path)] for name, path in paths.items()}, done.stderr
+    return {name: found[str(path)] for name, path in paths.items()}
 
 
 def picture(seed=0):
@@ -167,13 +168,25 @@ CASES = (
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory):
-    return all_cases(tmp_path_factory.mktemp("pictures"))
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("pictures")
 
 
 @pytest.fixture(scope="module")
-def scripts(cases):
-    return {name: script_of(run, file) for name, (run, file) in cases.items()}
+def cases(folder):
+    return all_cases(folder)
+
+
+@pytest.fixture(scope="module")
+def scripts(cases, folder):
+    """The scripts of all cases, one for another picture, and one whose file the user has named."""
+    found = {name: script_of(run, file) for name, (run, file) in cases.items()}
+    Image.fromarray(picture(seed=3)).save(folder / "other.png")
+    found["other"] = found["tricky"].replace("p.png", "other.png")
+    nowhere = script_of(replace(analysis(added(picture())), blur_map=False))
+    named = text_literal(str(folder / "p.png"))
+    found["named"] = nowhere.replace('"your-picture.tif"', named)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -184,32 +197,37 @@ def ran(scripts, tmp_path_factory):
 @pytest.mark.parametrize("name", CASES)
 def test_script_gives_what_the_run_gives_bit_for_bit(cases, ran, name):
     results = cases[name][0].run(KeptWork())
-    found, _ = ran
     layers = getattr(results, "layers", results)
     assert layers
     for data, keywords, _ in layers:
         variable = VARIABLE_OF[keywords["metadata"][METADATA_KEY]["result"]]
-        values = found[name][variable]
+        values = ran[name][variable]
         assert values.dtype == data.dtype
         assert values.tobytes() == np.squeeze(data).tobytes(), variable
+    assert ran[name]["said"] == "", "the picture is the same"
 
 
-def test_scripts_say_nothing_if_the_picture_is_the_same(ran):
-    _, said = ran
-    assert said == ""
+def test_other_picture_is_told_of_in_plain_words(ran, folder):
+    told = f"{folder / 'other.png'} is another picture than was analysed in napari.\n"
+    assert ran["other"]["said"] == told
+    assert ran["other"]["in_focus"].shape == (80, 96)
 
 
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("options", [[], ["--line-length", "100", "--extend-select", "I,E,W,UP"]])
-def test_script_is_laid_out_as_ruff_likes_it(scripts, name, options, tmp_path):
-    if shutil.which("ruff", path=Path(sys.executable).parent) is None:
+def test_file_that_the_user_has_named_is_read(ran):
+    assert ran["named"]["said"] == ""
+    np.testing.assert_array_equal(ran["named"]["in_focus"], ran["tricky"]["in_focus"])
+
+
+@pytest.mark.parametrize("options", [[], ["--line-length", "100"]])
+def test_scripts_are_laid_out_as_ruff_likes_it(scripts, options, tmp_path):
+    ruff = shutil.which("ruff", path=Path(sys.executable).parent)
+    if ruff is None:
         pytest.skip("ruff is not installed")
-    for task in (["check"], ["format", "--check"]):
-        settings = options if task == ["check"] else options[:2]
-        command = [Path(sys.executable).parent / "ruff", *task, "--isolated", *settings, "-"]
-        done = subprocess.run(
-            command, input=scripts[name], cwd=tmp_path, capture_output=True, text=True, check=False
-        )
+    for name, text in scripts.items():
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    for task in (["check", "--extend-select", "E,W,I,UP,PTH,N"], ["format", "--check"]):
+        command = [ruff, *task, "--isolated", *options, "."]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -228,15 +246,6 @@ def test_seeds_that_say_nothing_are_left_out(cases):
     assert script_of(replace(run, seeds=empty)) == script_of(run)
 
 
-def test_other_picture_is_told_of_in_plain_words(tmp_path):
-    Image.fromarray(picture()).save(tmp_path / "p.png")
-    script = script_of(replace(analysis(opened(tmp_path / "p.png")), confidence=False))
-    Image.fromarray(picture(seed=3)).save(tmp_path / "p.png")
-    found, said = run_scripts(tmp_path, {"script": script})
-    assert said == f"{tmp_path / 'p.png'} is another picture than was analysed in napari.\n"
-    assert found["script"]["blur_map"].shape == (80, 96)
-
-
 def test_edited_layer_is_not_looked_for_in_its_file(tmp_path):
     Image.fromarray(picture()).save(tmp_path / "p.png")
     plane = opened(tmp_path / "p.png")
@@ -246,16 +255,11 @@ def test_edited_layer_is_not_looked_for_in_its_file(tmp_path):
     assert 'PICTURE_FILE = Path("your-picture.tif")' in script
 
 
-def test_user_names_the_file_of_a_picture_from_nowhere(tmp_path):
+def test_user_names_the_file_of_a_picture_from_nowhere():
     plane = added(picture(), name="leaf")
     script = script_of(analysis(plane))
     line = 'PICTURE_FILE = Path("your-picture.tif")'
     assert '# Name the file of the layer "leaf" here' in script.partition(line)[0]
-    tifffile.imwrite(tmp_path / "leaf.tif", picture())
-    named = script.replace('"your-picture.tif"', text_literal(str(tmp_path / "leaf.tif")))
-    found, said = run_scripts(tmp_path, {"named": named})
-    assert said == ""
-    assert found["named"]["in_focus"].shape == (80, 96)
 
 
 def test_samples_are_known_when_they_are_opened_in_napari(npe2pm):
@@ -276,6 +280,13 @@ def test_file_that_does_not_hold_the_picture_is_refused(tmp_path):
     for name in ("other.npy", "none.npy"):
         with pytest.raises(ValueError, match=f"picture_file is .*{name}; it takes"):
             script_of(analysis(added(picture())), tmp_path / name)
+
+
+def test_scripts_and_preferences_need_no_qt():
+    modules = "napari_defocus.widgets.script, napari_defocus.widgets.preferences"
+    code = f"import sys, {modules}; print(*{{'qtpy.QtWidgets', 'PySide6'}} & set(sys.modules))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == []
 
 
 def test_map_of_a_layer_cannot_be_made_again(texture):

@@ -19,7 +19,6 @@ from napari_defocus.widgets.map_source import EstimatedSource, MapSource
 from napari_defocus.widgets.restored import Refocusing, Restoration
 from napari_defocus.widgets.script_picture import PictureSource, picture_source
 from napari_defocus.widgets.script_text import (
-    assigned,
     call,
     differing,
     import_block,
@@ -64,7 +63,7 @@ class _Script:
     def step(self, target: str, function: str, *arguments: str, **keywords: str) -> None:
         """Add a call of a public function."""
         self.names.append(function)
-        self.steps += assigned(target, call(function, *arguments, **keywords))
+        self.steps += call(function, arguments, keywords, target=target)
 
 
 def script_of(work: Work, picture_file: Path | None = None) -> str:
@@ -115,7 +114,7 @@ def _composed(script: _Script, picture: Picture, source: PictureSource) -> str:
         low, high = map(literal, picture.span)
         constants.append(f"INTENSITY_RANGE = ({low}, {high})")
     lines = [
-        f'"""What napari-defocus {__version__} has found in a picture, found again.',
+        f'"""Repeat a run of napari-defocus {__version__} without napari: the same arrays.',
         "",
         "Run it, or import its variables; it writes nothing.",
         '"""',
@@ -131,7 +130,7 @@ def _composed(script: _Script, picture: Picture, source: PictureSource) -> str:
         "",
         *source.reading,
         "if fingerprint(image) != FINGERPRINT:",
-        *(f"    {line}" for line in call("print", source.message, file="sys.stderr")),
+        *call("print", [source.message], {"file": "sys.stderr"}, indent=4),
         "",
         *script.steps,
     ]

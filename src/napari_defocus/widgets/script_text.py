@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from numbers import Integral
 from typing import Any
@@ -49,23 +50,43 @@ def longer_than_a_line(line: str) -> bool:
     return len(line) > LONGEST_LINE
 
 
-def call(function: str, *arguments: str, **keywords: str) -> list[str]:
-    """Return a call as lines; one an argument if there are keywords.
+def call(
+    function: str,
+    arguments: Iterable[str],
+    keywords: Mapping[str, str] | None = None,
+    *,
+    target: str = "",
+    indent: int = 0,
+) -> list[str]:
+    """Return a call as lines: one if it fits, else one an argument.
+
+    Parameters
+    ----------
+    function : str
+    arguments : iterable of str
+    keywords : mapping of str to str, optional
+    target : str
+        The variable that gets the result, if one does.
+    indent : int
+        How many spaces are before the first line.
 
     Examples
     --------
-    >>> call("label_blur_map", "candidates", "image", smoothness="3.0")
-    ['label_blur_map(', '    candidates,', '    image,', '    smoothness=3.0,', ')']
+    >>> call("label_blur_map", ["candidates", "image"], {"smoothness": "3.0"}, target="blur_map")
+    ['blur_map = label_blur_map(candidates, image, smoothness=3.0)']
     """
-    if not keywords:
-        return [f"{function}({', '.join(arguments)})"]
-    named = (f"{name}={value}" for name, value in keywords.items())
-    return [f"{function}(", *(f"    {argument}," for argument in (*arguments, *named)), ")"]
+    before = " " * indent
+    head = f"{before}{target} = {function}(" if target else f"{before}{function}("
+    said = [*arguments, *(f"{name}={value}" for name, value in (keywords or {}).items())]
+    return _in_brackets(head, said, before)
 
 
-def assigned(target: str, lines: list[str]) -> list[str]:
-    """Return the lines of an expression with its result given a name."""
-    return [f"{target} = {lines[0]}", *lines[1:]]
+def _in_brackets(head: str, items: list[str], before: str = "") -> list[str]:
+    line = f"{head}{', '.join(items)})"
+    if not longer_than_a_line(line):
+        return [line]
+    # The comma after the last one keeps ruff from joining them, however long its lines are.
+    return [head, *(f"{before}    {item}," for item in items), f"{before})"]
 
 
 def differing(settings: Any, names: Iterable[str]) -> dict[str, str]:
@@ -86,20 +107,20 @@ def import_block(imports: Iterable[str], names: Mapping[str, Iterable[str]]) -> 
     imports : iterable of str
         Whole lines, each of one name.
     names : mapping of str to iterable of str
-        From what modules what names are imported, one a line.
+        From what modules what names are imported.
     """
     grouped = {line: [line] for line in imports}
     for module, wanted in names.items():
-        few = [f"    {name}," for name in sorted(set(wanted))]
-        grouped[f"from {module} import ("] = [f"from {module} import (", *few, ")"]
+        found = sorted(set(wanted))
+        line = f"from {module} import {', '.join(found)}"
+        grouped[line] = (
+            _in_brackets(f"from {module} import (", found) if longer_than_a_line(line) else [line]
+        )
     ordered = sorted(grouped, key=lambda line: (line.startswith("from"), line.split()[1]))
-    ours = [line for line in ordered if _top_module(line) not in _STANDARD]
+    ours = [line for line in ordered if _top_module(line) not in sys.stdlib_module_names]
     theirs = [line for line in ordered if line not in ours]
     blocks = [[text for line in part for text in grouped[line]] for part in (theirs, ours)]
     return [*blocks[0], "", *blocks[1]]
-
-
-_STANDARD = ("base64", "hashlib", "importlib", "pathlib", "sys", "zlib")
 
 
 def _top_module(line: str) -> str:
