@@ -26,6 +26,7 @@ PUBLIC = {
     "PSFFamily",
     "Polygon",
     "RegionTable",
+    "Settings",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",

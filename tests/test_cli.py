@@ -484,6 +484,125 @@ def test_version_is_the_package_s():
     assert run("--version").stdout == f"napari-defocus {napari_defocus.__version__}\n"
 
 
+# --- settings files -------------------------------------------------------------------------
+
+
+def settings_file(picture, **parts):
+    path = picture.with_name("settings.json")
+    path.write_text(json.dumps(parts), encoding="utf-8")
+    return path
+
+
+def test_settings_file_says_what_options_do_not(picture, instant):
+    estimation = {"psf": "annulus:0.5", "max_radius": 5, "window": 31, "stride": 6}
+    file = settings_file(picture, map=estimation | {"smoothness": 7, "color_sigma": 0.3})
+    given = ["--settings", file, "--max-radius", 6, "--color-sigma", MapSettings.color_sigma]
+    result = run("map", picture, *given)
+    assert result.exit_code == 0, result.output
+    assert instant["candidates"]["psf"] == Annulus(0.5, max_radius=6.0), "6 was given"
+    assert (instant["candidates"]["window"], instant["candidates"]["stride"]) == (31, 6)
+    assert instant["candidates"]["mode"] == MapSettings.mode
+    assert instant["map"]["smoothness"] == 7
+    assert instant["map"]["color_sigma"] == MapSettings.color_sigma, "given, though it is usual"
+
+
+def test_mask_has_its_own_smoothness_in_a_settings_file(picture, instant):
+    mask = {"threshold": 1.2, "smoothness": 9}
+    file = settings_file(picture, map={"smoothness": 7, "linearize": "srgb"}, mask=mask)
+    assert run("segment", picture, "--settings", file).exit_code == 0
+    assert instant["mask"]["smoothness"] == 9
+    assert instant["mask"]["threshold"] == 1.2
+    assert instant["mask"]["color_sigma"] == MaskSettings.color_sigma
+    assert instant["candidates"]["linearize"] == "srgb"
+    assert run("segment", picture, "--settings", file, "--threshold", 3, "--force").exit_code == 0
+    assert instant["mask"]["threshold"] == 3
+
+
+def test_threshold_follows_the_lens_unless_the_settings_file_says_it(picture, instant):
+    file = settings_file(picture, map={"psf": "gaussian"})
+    assert run("segment", picture, "--settings", file).exit_code == 0
+    assert instant["mask"]["threshold"] == MaskSettings.threshold / 2
+
+
+@pytest.mark.parametrize(
+    ("said", "option", "noise"),
+    [
+        ({"shot_noise": True}, ["--noise-variance", 1e-4], 1e-4),
+        ({"noise_variance": 1e-4}, ["--shot-noise"], ShotNoise),
+        ({"shot_noise": True}, [], ShotNoise),
+    ],
+)
+def test_noise_that_is_given_is_not_that_of_the_settings_file(
+    picture, instant, said, option, noise
+):
+    result = run("map", picture, "--settings", settings_file(picture, map=said), *option)
+    assert result.exit_code == 0, result.output
+    found = instant["candidates"]["noise_variance"]
+    assert isinstance(found, ShotNoise) if noise is ShotNoise else found == noise
+
+
+@pytest.mark.parametrize("command", ["map", "segment"])
+def test_settings_that_were_used_are_saved_and_used_again(picture, instant, command):
+    saved, again = picture.with_name("saved.json"), picture.with_name("again.json")
+    options = ["--psf", "polygon:6", "--window", 51, "--stride", 5, "--smoothness", 3.3]
+    options += ["--noise-variance", 1e-4, "--linearize", "srgb", "--mode", "paper"]
+    plain = run(command, picture, *options, "--json")
+    with_file = run(command, picture, *options, "--json", "--force", "--save-settings", saved)
+    assert with_file.exit_code == 0, with_file.output
+    calls = dict(instant)
+    instant.clear()
+    repeated = ["--settings", saved, "--save-settings", again, "--force"]
+    assert run(command, picture, *repeated).exit_code == 0
+    for step in calls:
+        for name in calls[step].keys() - {"progress"}:
+            assert instant[step][name] == calls[step][name]
+    assert saved.read_text() == again.read_text()
+    used = napari_defocus.Settings.load(saved)
+    assert used.map.psf == "polygon:6"
+    assert (used.mask if command == "segment" else used.map).smoothness == 3.3
+    report, usual = json.loads(with_file.stdout), json.loads(plain.stdout)
+    assert report | {"seconds": 0} == usual | {"seconds": 0}, "the report is as it was"
+
+
+def test_saved_settings_say_nothing_of_what_was_not_used(picture, instant):
+    saved = picture.with_name("saved.json")
+    assert run("map", picture, "--psf", "gaussian", "--save-settings", saved).exit_code == 0
+    assert json.loads(saved.read_text()).keys() == {"napari_defocus", "map"}
+    assert run("segment", picture, "--settings", saved).exit_code == 0
+    assert instant["mask"]["threshold"] == MaskSettings.threshold / 2
+
+
+@pytest.mark.parametrize(
+    ("content", "saying"),
+    [
+        (None, "settings.json: there is no such file"),
+        ("{", "it is no JSON"),
+        ('{"map": {"radius": 3}}', 'key of "map" "radius"; it takes noise_variance, psf'),
+        ('{"map": {"max_radius": "3"}}', '"max_radius" of "map" is "3"; it takes a number'),
+    ],
+)
+@pytest.mark.parametrize("command", ["map", "segment", "restore", "refocus"])
+def test_settings_file_that_cannot_be_used_is_refused(picture, instant, command, content, saying):
+    path = picture.with_name("settings.json")
+    if content is not None:
+        path.write_text(content)
+    before = names_in(picture.parent)
+    result = run(command, picture, "--settings", path)
+    assert_fails_in_one_line(result, saying=saying)
+    assert not instant, "nothing was computed"
+    assert names_in(picture.parent) == before
+
+
+def test_settings_that_exist_are_kept_unless_forced(picture, instant):
+    saved = settings_file(picture)
+    before = saved.read_bytes()
+    assert_fails_in_one_line(run("map", picture, "--save-settings", saved), saying="exists already")
+    assert not instant, "nothing was computed"
+    assert saved.read_bytes() == before
+    assert run("map", picture, "--save-settings", saved, "--force").exit_code == 0
+    assert napari_defocus.Settings.load(saved) == napari_defocus.Settings()
+
+
 # --- how they fail --------------------------------------------------------------------------
 
 

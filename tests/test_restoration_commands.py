@@ -13,9 +13,10 @@ from command_line import assert_fails_in_one_line, full_disk, names_in, run
 from PIL import Image
 
 import napari_defocus
-from napari_defocus import Disc, Gaussian, ThinLens, blur_from_depth, simulate_defocus
+from napari_defocus import Annulus, Disc, Gaussian, ThinLens, blur_from_depth, simulate_defocus
 from napari_defocus.files import read_picture
 from napari_defocus.restoration import usual_tv_weight
+from napari_defocus.results import blur_map_tiff
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 
 HEIGHT, WIDTH = 48, 60
@@ -287,6 +288,82 @@ def test_refocus_tells_what_it_did(folder, instant):
     sharp = f"sharp now    what is blurred by {blur:.1f} px on the other side, 1.5 m away"
     assert sharp in result.stdout
     assert "aperture     1 times as wide" in result.stdout
+
+
+# --- settings files -------------------------------------------------------------------------
+
+
+def settings_file(folder, **parts):
+    path = folder / "settings.json"
+    path.write_text(json.dumps(parts), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("command", ["restore", "refocus"])
+def test_settings_that_were_used_are_saved_and_used_again(folder, instant, command):
+    saved, again = folder / "saved.json", folder / "again.json"
+    options = ["--psf", "polygon:6", "--max-radius", 5, "--smoothness", 7, "--color-sigma", 0.3]
+    options += ["--noise-variance", 1e-4, "--tv-weight", 0.01, "--risk", 0.3]
+    if command == "refocus":
+        options += ["--focus", -1.5, "--aperture", 3, "--side", "near", "--encoding", "linear"]
+    result = run(command, folder / "p.png", *options, "--save-settings", saved)
+    assert result.exit_code == 0, result.output
+    calls = dict(instant)
+    instant.clear()
+    repeated = ["--settings", saved, "--save-settings", again, "--force"]
+    assert run(command, folder / "p.png", *repeated).exit_code == 0
+    last = "change_focus" if command == "refocus" else "restore_all_in_focus"
+    for step in ("candidates", "map", "restore_all_in_focus", last):
+        for name in calls[step].keys() - {"progress"}:
+            np.testing.assert_array_equal(instant[step][name], calls[step][name])
+    assert instant["risk"] == 0.3
+    assert saved.read_text() == again.read_text()
+    used = napari_defocus.Settings.load(saved)
+    assert used.restoration == RestorationSettings(noise_variance=1e-4, tv_weight=0.01, risk=0.3)
+    view = RefocusSettings(focus=-1.5, aperture=3, side="near", linearize=None)
+    assert used.refocus == (view if command == "refocus" else RefocusSettings())
+
+
+def test_options_win_over_a_settings_file(folder, instant):
+    view = {"focus": 1.5, "aperture": 2, "linearize": None}
+    file = settings_file(folder, refocus=view, restoration={"risk": 0.3, "tv_weight": 0.01})
+    given = ["--settings", file, "--aperture", 3, "--encoding", "srgb", "--risk", 0.2]
+    result = run("refocus", folder / "p.png", *given)
+    assert result.exit_code == 0, result.output
+    assert instant["change_focus"]["focus"] == 1.5
+    assert instant["change_focus"]["aperture"] == 3
+    assert instant["change_focus"]["linearize"] == "srgb"
+    assert instant["risk"] == 0.2
+    assert instant["restore_all_in_focus"]["tv_weight"] == 0.01
+
+
+def test_distance_that_is_given_wins_over_the_focus_of_a_settings_file(folder, instant):
+    file = settings_file(folder, refocus={"focus": 1.5})
+    change = ["refocus", folder / "p.png", "--sharp-at", 3, *LENS_OPTIONS, "--settings", file]
+    result = run(*change)
+    assert result.exit_code == 0, result.output
+    blur = float(blur_from_depth(3, LENS))
+    assert instant["change_focus"]["focus"] == pytest.approx(blur)
+
+
+@pytest.mark.parametrize(("said", "psf"), [("gaussian", Gaussian), (None, Annulus)])
+def test_lens_of_a_map_wins_over_that_of_a_settings_file(folder, instant, said, psf):
+    values = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    content = blur_map_tiff(values, {"psf": said} if said else {}, "px")
+    (folder / "blur.tif").write_bytes(content)
+    file = settings_file(folder, map={"psf": "annulus:0.5"})
+    given = ["--map", folder / "blur.tif", "--settings", file]
+    assert run("restore", folder / "p.png", *given).exit_code == 0
+    assert isinstance(instant["restore_all_in_focus"]["psf"], psf)
+
+
+def test_two_noises_cannot_be_said_by_one_option(folder, instant):
+    file = settings_file(folder, map={}, restoration={"noise_variance": 1e-5})
+    given = ["restore", folder / "p.png", "--settings", file]
+    assert_fails_in_one_line(run(*given), saying='of "restoration" is 1e-05 and that of "map" None')
+    assert not instant, "nothing was computed"
+    assert run(*given, "--noise-variance", 1e-4).exit_code == 0
+    assert instant["restore_all_in_focus"]["noise_variance"] == 1e-4
 
 
 # --- maps that are given --------------------------------------------------------------------

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from napari_defocus.regions import RegionTable, measure_regions
     from napari_defocus.restoration import restore_all_in_focus
     from napari_defocus.segmentation import segment_in_focus
+    from napari_defocus.settings_file import Settings
     from napari_defocus.simulation import simulate_defocus
     from napari_defocus.spectrum import FitReport, fit_report
     from napari_defocus.surface import DepthSurface, depth_surface
@@ -54,6 +55,7 @@ _HOME_OF = {
     "PSFFamily": "psf",
     "Polygon": "psf",
     "RegionTable": "regions",
+    "Settings": "settings_file",
     "ShotNoise": "noise",
     "ThinLens": "depth",
     "blur_from_depth": "depth",
@@ -95,6 +97,7 @@ __all__ = [
     "PSFFamily",
     "Polygon",
     "RegionTable",
+    "Settings",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",

@@ -34,9 +34,13 @@ from napari_defocus.commands import (
     PSFText,
     Quiet,
     RegionsOutput,
+    SavedSettings,
     SeedsPath,
+    SettingsFile,
     ShotNoiseOption,
+    Stride,
     Threshold,
+    Window,
     check_endings,
     last_lines,
     run,
@@ -61,6 +65,7 @@ from napari_defocus.settings import (
     check_threshold,
     usual_threshold,
 )
+from napari_defocus.settings_options import SettingsCommand, saved_settings, with_settings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -108,13 +113,15 @@ def _program(
     """Measure the defocus blur of one picture: how many pixels wide, and what is in focus."""
 
 
-@app.command("map")
+@app.command("map", cls=SettingsCommand)
 def map_picture(
     image: ImagePath,
     psf: PSFText = MapSettings.psf,
     noise_variance: NoiseVariance = MapSettings.noise_variance,
     shot_noise: ShotNoiseOption = MapSettings.shot_noise,
     max_radius: MaxRadius = MapSettings.max_radius,
+    window: Window = MapSettings.window,
+    stride: Stride = MapSettings.stride,
     smoothness: MapSmoothness = MapSettings.smoothness,
     color_sigma: ColorSigma = MapSettings.color_sigma,
     mode: ModeOption = MapSettings.mode,
@@ -123,6 +130,8 @@ def map_picture(
     output: MapOutputs = None,
     confidence: ConfidenceOutput = None,
     min_confidence: MinConfidence = 0.0,
+    settings_file: SettingsFile = None,
+    save_settings: SavedSettings = None,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -139,6 +148,8 @@ def map_picture(
             noise_variance=noise_variance,
             shot_noise=shot_noise,
             max_radius=max_radius,
+            window=window,
+            stride=stride,
             smoothness=smoothness,
             color_sigma=color_sigma,
             mode=mode,
@@ -148,18 +159,19 @@ def map_picture(
         check_confidence("min_confidence", min_confidence)
         check_endings(outputs, ".tif", ".tiff", ".png")
         picture = files.read_picture(image)
-        files.check_results(outputs, force=force, source=image)
+        files.check_results(with_settings(outputs, save_settings), force=force, source=image)
         found = measure_map(picture, settings, intensity_range, progress)
         facts = picture_facts(image, outputs, found, settings) | map_facts(found, min_confidence)
         contents = _encoded_maps(maps, found, min_confidence, settings)
         contents |= _encoded_confidence(confidence, found, settings)
+        contents |= saved_settings(save_settings, "map", napari_defocus.Settings(map=settings))
         files.write_results(contents, force=force)
         return facts
 
     run(measure, _lines, as_json, quiet)
 
 
-@app.command("segment")
+@app.command("segment", cls=SettingsCommand)
 def segment_picture(
     image: ImagePath,
     threshold: Threshold = None,
@@ -167,6 +179,8 @@ def segment_picture(
     noise_variance: NoiseVariance = MapSettings.noise_variance,
     shot_noise: ShotNoiseOption = MapSettings.shot_noise,
     max_radius: MaxRadius = MapSettings.max_radius,
+    window: Window = MapSettings.window,
+    stride: Stride = MapSettings.stride,
     smoothness: MaskSmoothness = MaskSettings.smoothness,
     color_sigma: ColorSigma = MaskSettings.color_sigma,
     seeds: SeedsPath = None,
@@ -176,6 +190,8 @@ def segment_picture(
     output: MaskOutput = None,
     overlay: OverlayOutput = None,
     regions: RegionsOutput = None,
+    settings_file: SettingsFile = None,
+    save_settings: SavedSettings = None,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -195,6 +211,8 @@ def segment_picture(
             noise_variance=noise_variance,
             shot_noise=shot_noise,
             max_radius=max_radius,
+            window=window,
+            stride=stride,
             mode=mode,
             linearize=linearize,
         )
@@ -210,13 +228,15 @@ def segment_picture(
         picture = files.read_picture(image)
         known = _seeds(seeds, picture)
         for source in (image, seeds):
-            files.check_results(outputs, force=force, source=source)
+            files.check_results(with_settings(outputs, save_settings), force=force, source=source)
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, intensity_range, first)
         third = within(second, 0.5 if regions else 1.0, 1.0)
         second = within(second, 0.0, 0.5 if regions else 1.0)
         mask = _mask(candidates, picture, mask_settings, intensity_range, second, known)
         contents = _encoded_masks(output, overlay, picture, mask, intensity_range)
+        used_settings = napari_defocus.Settings(map=settings, mask=mask_settings)
+        contents |= saved_settings(save_settings, "segment", used_settings)
         facts = picture_facts(image, outputs, candidates, settings) | _mask_facts(mask)
         facts |= _seeds_facts(seeds, known)
         if regions:
@@ -406,8 +426,8 @@ def _encoded_masks(
     return contents
 
 
-app.command("restore")(restoration_commands.restore)
-app.command("refocus")(restoration_commands.refocus)
+app.command("restore", cls=SettingsCommand)(restoration_commands.restore)
+app.command("refocus", cls=SettingsCommand)(restoration_commands.refocus)
 app.command("depth")(depth_commands.depth)
 app.command("calibrate")(lens_commands.calibrate)
 app.command("compare-psf")(lens_commands.compare)

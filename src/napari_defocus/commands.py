@@ -84,6 +84,16 @@ ColorSigma = Annotated[
         help="How much intensities (0 to 1) differ where the blur may change easily.",
     ),
 ]
+Window = Annotated[
+    int,
+    typer.Option(
+        metavar="PX",
+        help="Side of the window whose spectrum speaks for a place, in px; odd.",
+    ),
+]
+Stride = Annotated[
+    int, typer.Option(metavar="PX", help="Distance between analysed windows, in px.")
+]
 ModeOption = Annotated[
     Mode,
     typer.Option(help="Weigh the whole likelihood curve, or the three candidates of the paper."),
@@ -294,6 +304,23 @@ EncodingOption = Annotated[
         "are proportional to light, as those of microscopes and raw data. Lenses blur light: "
         "IMAGE is restored and blurred again in it. --noise-variance is taken for that, too, if "
         "--linearize is the same or --map is given; else the noise is found again."
+    ),
+]
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--settings",
+        metavar="PATH",
+        help="A file that --save-settings wrote (.json), or that you edited: it says what the "
+        "options of this command do not.",
+    ),
+]
+SavedSettings = Annotated[
+    Path | None,
+    typer.Option(
+        "--save-settings",
+        metavar="PATH",
+        help="Where to write the settings that were used (.json), for --settings.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite results that exist.")]

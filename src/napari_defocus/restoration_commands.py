@@ -35,10 +35,14 @@ from napari_defocus.commands import (
     RefocusedOutputs,
     RestoredOutputs,
     Risk,
+    SavedSettings,
+    SettingsFile,
     SharpAt,
     ShotNoiseOption,
     SideOption,
+    Stride,
     TVWeight,
+    Window,
     check_endings,
     last_lines,
     run,
@@ -72,6 +76,7 @@ from napari_defocus.settings import (
     check_risk,
     check_tv_weight,
 )
+from napari_defocus.settings_options import saved_settings, with_settings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -95,6 +100,8 @@ def restore(
     noise_variance: NoiseVariance = MapSettings.noise_variance,
     shot_noise: ShotNoiseOption = MapSettings.shot_noise,
     max_radius: MaxRadius = MapSettings.max_radius,
+    window: Window = MapSettings.window,
+    stride: Stride = MapSettings.stride,
     smoothness: MapSmoothness = MapSettings.smoothness,
     color_sigma: ColorSigma = MapSettings.color_sigma,
     mode: ModeOption = MapSettings.mode,
@@ -103,6 +110,8 @@ def restore(
     known_map: KnownMap = None,
     map_confidence: KnownConfidence = None,
     output: RestoredOutputs = None,
+    settings_file: SettingsFile = None,
+    save_settings: SavedSettings = None,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -118,6 +127,8 @@ def restore(
             noise_variance=noise_variance,
             shot_noise=shot_noise,
             max_radius=max_radius,
+            window=window,
+            stride=stride,
             smoothness=smoothness,
             color_sigma=color_sigma,
             mode=mode,
@@ -129,7 +140,7 @@ def restore(
         check_endings(outputs, ".png", ".tif", ".tiff")
         picture = files.read_picture(image)
         for source in (image, known_map, map_confidence):
-            files.check_results(outputs, force=force, source=source)
+            files.check_results(with_settings(outputs, save_settings), force=force, source=source)
         first, second = _shares(progress)
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
         noise = _noise_variance(found, picture, settings, linearize, intensity_range)
@@ -140,6 +151,9 @@ def restore(
         sharp = _restored(picture, found, noise, weight, risk, linearize, intensity_range, second)
         made_with = used(found, settings) | {"tv_weight": weight, "risk": risk}
         contents = _encoded(outputs, sharp, picture, "all-in-focus picture", made_with)
+        restoration = RestorationSettings(tv_weight=tv_weight, risk=risk)
+        used_settings = napari_defocus.Settings(map=settings, restoration=restoration)
+        contents |= saved_settings(save_settings, "restore", used_settings)
         files.write_results(contents, force=force)
         return facts
 
@@ -163,6 +177,8 @@ def refocus(
     noise_variance: NoiseVariance = MapSettings.noise_variance,
     shot_noise: ShotNoiseOption = MapSettings.shot_noise,
     max_radius: MaxRadius = MapSettings.max_radius,
+    window: Window = MapSettings.window,
+    stride: Stride = MapSettings.stride,
     smoothness: MapSmoothness = MapSettings.smoothness,
     color_sigma: ColorSigma = MapSettings.color_sigma,
     mode: ModeOption = MapSettings.mode,
@@ -171,6 +187,8 @@ def refocus(
     known_map: KnownMap = None,
     map_confidence: KnownConfidence = None,
     output: RefocusedOutputs = None,
+    settings_file: SettingsFile = None,
+    save_settings: SavedSettings = None,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -195,6 +213,8 @@ def refocus(
             noise_variance=noise_variance,
             shot_noise=shot_noise,
             max_radius=max_radius,
+            window=window,
+            stride=stride,
             smoothness=smoothness,
             color_sigma=color_sigma,
             mode=mode,
@@ -209,7 +229,7 @@ def refocus(
         change = _focus_facts(image, focus, sharp_at, side, given, family)
         change |= {"aperture": aperture, "side": side, "encoding": encoding}
         for source in (image, known_map, map_confidence):
-            files.check_results(outputs, force=force, source=source)
+            files.check_results(with_settings(outputs, save_settings), force=force, source=source)
         first, second = _shares(progress)
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
         light: Linearize | None = "srgb" if encoding == "srgb" else None
@@ -236,6 +256,14 @@ def refocus(
         )
         made_with = used(found, settings) | change
         contents = _encoded(outputs, changed, picture, "refocused picture", made_with)
+        used_settings = napari_defocus.Settings(
+            map=settings,
+            restoration=RestorationSettings(tv_weight=tv_weight, risk=risk),
+            refocus=RefocusSettings(
+                focus=change["focus_px"], aperture=aperture, side=side, linearize=light
+            ),
+        )
+        contents |= saved_settings(save_settings, "refocus", used_settings)
         files.write_results(contents, force=force)
         return facts
 

@@ -73,7 +73,7 @@ class Plane:
                 f"it has {np.prod(plane.shape[:2]) / 1e6:.0f} million pixels, more than "
                 f"{MAX_PIXELS / 1e6:.0f} million. Crop it first."
             )
-        return np.array(plane)
+        return np.array(plane, order="C")  # a script reads it in this order, and sums alike
 
     def read(self) -> NDArray[Any]:
         """Return a copy of the plane's pixels, all of which have a value, see `values`.
