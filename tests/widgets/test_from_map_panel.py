@@ -26,7 +26,7 @@ def names(viewer):
 def ready(widget):
     """Fill in what has no default."""
     if isinstance(widget, DepthWidget):
-        lens = widget.thin_lens
+        lens = widget.depth.thin_lens
         lens.focal_length.value, lens.f_number.value = "50", "2"
         lens.focus_distance.value, lens.pixel_pitch.value = "2", "50"
     return widget
@@ -317,8 +317,8 @@ def test_value_of_a_layer_is_read_where_it_lies(viewer):
 def test_surface_comes_if_it_is_wanted(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
     widget = ready(opened(DepthWidget))
-    widget.surface.value = True
-    widget.min_confidence.value = 0.2
+    widget.depth.surface.value = True
+    widget.depth.min_confidence.value = 0.2
     finish(widget)
     assert names(viewer)[-2:] == ["leaf depth (m)", "leaf depth surface"]
     assert viewer.dims.ndisplay == 2
@@ -332,26 +332,27 @@ def test_file_of_the_image_is_offered_and_read(window, docked, finish, tmp_path,
     PIL.Image.fromarray((255 * texture).astype(np.uint8)).save(file, exif=exif)
     window.open(file, plugin="napari")
     widget = docked(DepthWidget)
-    assert widget.thin_lens.file.value == file
-    assert widget.thin_lens.focal_length.value == "", "nothing is read before it is asked for"
-    widget.thin_lens.read_button.native.click()
-    assert widget.thin_lens.focal_length.value == "35"
+    assert widget.depth.thin_lens.file.value == file
+    assert widget.depth.thin_lens.focal_length.value == "", "nothing is read before it is asked for"
+    widget.depth.thin_lens.read_button.native.click()
+    assert widget.depth.thin_lens.focal_length.value == "35"
     assert "Not noted: focus distance" in widget.status.value
     window.add_image(texture, name="leaf")
     widget.image.value = window.layers["leaf"]
-    assert widget.thin_lens.file.value is None
-    widget.thin_lens.read_button.native.click()
+    assert widget.depth.thin_lens.file.value is None
+    widget.depth.thin_lens.read_button.native.click()
     assert "Choose the photograph's file first" in messages()[0]
-    widget.thin_lens.file.value = tmp_path / "chosen.jpg"
+    widget.depth.thin_lens.file.value = tmp_path / "chosen.jpg"
     widget.image.value = window.layers["photograph"]
-    assert widget.thin_lens.file.value == tmp_path / "chosen.jpg", "it was chosen by hand"
+    assert widget.depth.thin_lens.file.value == tmp_path / "chosen.jpg", "it was chosen by hand"
 
 
 @pytest.mark.parametrize("widget_class", [ChangeFocusWidget, DepthWidget])
 def test_widget_says_what_one_picture_cannot_tell(opened, widget_class):
     widget = opened(widget_class)
-    assert "One picture cannot tell on which side" in widget.side_note.value
-    assert widget.side.value == "far"
+    form = getattr(widget, "depth", widget)
+    assert "One picture cannot tell on which side" in form.side_note.value
+    assert form.side.value == "far"
 
 
 @pytest.mark.parametrize("widget_class", ALL)

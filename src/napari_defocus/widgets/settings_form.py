@@ -1,6 +1,7 @@
 """The settings as a form: every default is read from the settings classes."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from magicgui.widgets import CheckBox, FloatSpinBox, LineEdit, PushButton, Widget
 
@@ -54,6 +55,7 @@ class SettingsForm:
     def __init__(self, *, blur_map: bool, mask: bool, last_measured: Callable[[], str]) -> None:
         self._blur_map = blur_map
         self._mask = mask
+        self._others = MapSettings()
         self.lens = LensForm(last_measured)
         self.max_radius = _max_radius_field()
         self.noise_variance = _noise_variance_field()
@@ -148,7 +150,8 @@ class SettingsForm:
         ValueError
             If the noise variance is no number, or the lens' file is missing.
         """
-        return MapSettings(
+        return replace(
+            self._others,
             psf=self.lens.text(),
             max_radius=self.max_radius.value,
             noise_variance=None if self.shot_noise.value else self.given_noise_variance(),
@@ -157,6 +160,24 @@ class SettingsForm:
             smoothness=self.map_smoothness.value,
             color_sigma=self.map_color_sigma.value,
         )
+
+    def take(self, estimation: MapSettings, mask: MaskSettings) -> None:
+        """Fill the fields.
+
+        What has no field here (window, stride, mode) is kept, too.
+        """
+        self._others = estimation
+        self.lens.take(estimation.psf)
+        self.max_radius.value = min(estimation.max_radius, LARGEST_RADIUS)
+        known = estimation.noise_variance
+        self.noise_variance.value = "" if known is None else f"{known:g}"
+        self.shot_noise.value = estimation.shot_noise
+        self.linear_light.value = estimation.linearize == "srgb"
+        self.map_smoothness.value = estimation.smoothness
+        self.map_color_sigma.value = estimation.color_sigma
+        self.threshold.value = min(mask.threshold, self.threshold.largest)
+        self.mask_smoothness.value = mask.smoothness
+        self.mask_color_sigma.value = mask.color_sigma
 
     def given_noise_variance(self) -> float | None:
         """Return the noise variance that was typed, None if it is to be found.
