@@ -24,6 +24,7 @@ PUBLIC = {
     "PSFComparison",
     "PSFEvidence",
     "PSFFamily",
+    "PixelExplanation",
     "Polygon",
     "ShotNoise",
     "ThinLens",
@@ -35,10 +36,12 @@ PUBLIC = {
     "confidence_map",
     "depth_from_blur",
     "depth_surface",
+    "draw_explanation",
     "estimate_blur_map",
     "estimate_candidates",
     "estimate_noise_variance",
     "estimate_shot_noise",
+    "explain_pixel",
     "fit_report",
     "label_blur_map",
     "labeling_energy",
@@ -104,6 +107,7 @@ RESULTS = {
     "PSFComparison",
     "PSFEvidence",
     "PSFFamily",
+    "PixelExplanation",
 }
 
 
