@@ -1,18 +1,25 @@
 """What is known under the mouse."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from napari.components import ViewerModel
+from napari.utils.theme import get_theme
+from qtpy.QtCore import QPoint, Qt
+from qtpy.QtTest import QTest
 from skimage.data import gravel
 
 from napari_defocus import explain_pixel, simulate_defocus
 from napari_defocus.progress import silent
 from napari_defocus.settings import MapSettings
+from napari_defocus.widgets import probe
 from napari_defocus.widgets.estimation import Picture, estimated_candidates, estimated_map
+from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import shown_plane
+from napari_defocus.widgets.probe import INTERVAL, ProbeWidget
 from napari_defocus.widgets.probing import (
     NothingKnownError,
     WindowOutline,
@@ -160,9 +167,9 @@ def test_outline_leaves_the_brush_and_the_selection_alone(viewer):
 
 
 def test_line_of_the_outline_is_as_wide_at_every_zoom(viewer):
-    image = viewer.add_image(np.zeros((60, 60)), scale=(0.5, 0.5))
+    image = viewer.add_image(np.zeros((5, 60, 60)), scale=(0.1, 0.5, 0.5))
     outline = WindowOutline(viewer, lambda: None)
-    show(outline, image, corners_of((3, 3, 44, 44), (slice(None), slice(None)), (60, 60)))
+    show(outline, image, corners_of((3, 3, 44, 44), (2, slice(None), slice(None)), (60, 60)))
     for zoom in (1.0, 16.0):
         viewer.scene.camera.zoom = zoom
         assert outline.layer.edge_width[0] * 0.5 * zoom == pytest.approx(2)
@@ -192,7 +199,214 @@ def test_picture_of_a_result_is_the_one_that_it_was_made_of(viewer, blurred, kep
     assert image_of(viewer.layers, shown) is image
     assert image_to_probe(viewer, kept) is image
     viewer.layers.selection.active = other
-    assert image_to_probe(viewer, kept) is other
-    viewer.layers.selection.clear()
-    assert image_to_probe(viewer, kept) is image
+    assert image_to_probe(viewer, kept) is image, "nothing is known of the other"
+    assert image_to_probe(viewer, KeptWork()) is other
     assert image_to_probe(ViewerModel(), kept) is None
+
+
+# --- the widget -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def beside(viewer, qtbot, blurred):
+    """The probe beside a viewer's model with a measured picture; watching."""
+    image = viewer.add_image(blurred, name="stones")
+    measure(viewer, image, ImagePanel.kept)
+    widget = ProbeWidget(viewer)
+    qtbot.addWidget(widget.native)
+    widget.start()
+    yield widget
+    widget.stop()
+
+
+def hover(viewer, position):
+    for callback in viewer.mouse_move_callbacks:
+        callback(viewer, SimpleNamespace(position=position))
+
+
+def click(viewer, position, *, drag=0):
+    event = SimpleNamespace(
+        position=position, pos=(50, 50), button=1, type="mouse_press", modifiers=()
+    )
+    for callback in viewer.mouse_drag_callbacks:
+        generator = callback(viewer, event)
+        if next(generator, "refused") == "refused":
+            continue
+        event.pos = (50 + drag, 50)
+        for event.type in ("mouse_move", "mouse_release"):
+            next(generator, None)
+
+
+@pytest.mark.display
+def test_hover_tells_the_latest_place_once(viewer, beside, qtbot, monkeypatch):
+    asked = []
+
+    def counted(viewer, layer, position, kept):
+        asked.append(position)
+        return probed(viewer, layer, position, kept)
+
+    monkeypatch.setattr(probe, "probed", counted)
+    for row in range(20, 60):
+        hover(viewer, (row, 70.0))
+    assert asked == [], "the mouse is not held up"
+    qtbot.waitUntil(lambda: bool(asked))
+    assert asked == [(59, 70.0)]
+    assert beside.text.value == str(probe_at(viewer, (59, 70)).explanation)
+
+
+def probe_at(viewer, position):
+    return probed(viewer, viewer.layers["stones"], position, ImagePanel.kept)
+
+
+@pytest.mark.display
+def test_click_pins_and_another_one_moves_the_pin(viewer, beside, qtbot):
+    for place in ((30, 40), (80, 90)):
+        click(viewer, place)
+        assert beside.text.value == str(probe_at(viewer, place).explanation)
+        assert not beside.follow.value
+    hover(viewer, (50, 50))
+    qtbot.wait(2 * INTERVAL)
+    assert beside.text.value == str(probe_at(viewer, (80, 90)).explanation)
+    beside.follow.value = True
+    hover(viewer, (50, 50))
+    qtbot.waitUntil(lambda: beside.text.value == str(probe_at(viewer, (50, 50)).explanation))
+
+
+@pytest.mark.display
+def test_drag_and_brush_do_not_pin(viewer, beside):
+    click(viewer, (30, 40), drag=30)
+    assert beside.follow.value
+    viewer.add_labels(np.zeros((SIDE, SIDE), np.uint8)).mode = "paint"
+    click(viewer, (30, 40))
+    assert beside.follow.value
+    click(viewer, (-30, 40))
+    assert beside.follow.value
+
+
+@pytest.mark.display
+def test_curve_of_the_place_is_drawn(viewer, beside):
+    beside.pin((30, 40))
+    told = probe_at(viewer, (30, 40)).explanation
+    axes = beside._curve.figure.axes[0]
+    assert any(np.array_equal(line.get_ydata(), told.log_likelihood) for line in axes.lines)
+    assert f"confidence {told.confidence:.2f}" in axes.get_title()
+    beside.pin((60, 60))
+    curves = [line for line in beside._curve.figure.axes[0].lines if len(line.get_xdata()) > 50]
+    assert len(curves) == 1
+
+
+@pytest.mark.display
+def test_refresh_shows_what_a_new_analysis_has_found(viewer, beside):
+    beside.pin((30, 40))
+    before = beside.text.value
+    image = viewer.layers["stones"]
+    picture = Picture.of(shown_plane(image, viewer.dims))
+    estimated_map(picture, MapSettings(max_radius=4, noise_variance=1e-3), ImagePanel.kept, silent)
+    beside.refresh()
+    assert beside.text.value != before
+    assert beside._curve.figure.axes[0].get_xlim() == (0, 4)
+
+
+@pytest.mark.display
+def test_unknown_place_empties_the_drawing_and_says_why(viewer, beside, qtbot):
+    beside.pin((30, 40))
+    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    other = viewer.add_image(np.zeros((30, 30)), name="other")
+    beside.reset_choices()
+    beside.set_image(other)
+    assert "measure the picture first" in beside.text.value
+    assert not beside._curve.figure.axes[0].lines
+    assert not viewer.layers["probe"].visible
+    beside.set_image(viewer.layers["stones"])
+    assert "candidate" in beside.text.value
+    assert viewer.layers["probe"].visible
+
+
+@pytest.mark.display
+def test_outline_goes_when_it_is_not_wanted(viewer, beside, qtbot):
+    beside.pin((30, 40))
+    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    beside.outlined.value = False
+    assert "probe" not in viewer.layers
+    beside.outlined.value = True
+    assert "probe" in viewer.layers
+    viewer.layers.remove("probe")
+    assert not beside.outlined.value
+    beside.pin((50, 40))
+    assert "probe" not in viewer.layers
+
+
+@pytest.mark.display
+def test_picture_may_be_deleted_while_it_is_explained(viewer, beside, qtbot):
+    beside.pin((30, 40))
+    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    viewer.layers.remove("stones")
+    beside.reset_choices()
+    beside.refresh()
+    assert "no image" in beside.text.value
+    assert len(viewer.layers) == 0
+
+
+@pytest.mark.display
+def test_slider_is_followed(viewer, qtbot, blurred):
+    stack = viewer.add_image(np.stack([blurred, 1 - blurred]), name="stones")
+    viewer.dims.set_point(0, 0)
+    measure(viewer, stack, ImagePanel.kept)
+    widget = ProbeWidget(viewer)
+    qtbot.addWidget(widget.native)
+    widget.start()
+    hover(viewer, (0.0, 30.0, 40.0))
+    qtbot.waitUntil(lambda: "candidate" in widget.text.value)
+    viewer.dims.set_point(0, 1)
+    qtbot.waitUntil(lambda: "plane 0 was" in widget.text.value)
+    viewer.dims.set_point(0, 0)
+    qtbot.waitUntil(lambda: "candidate" in widget.text.value)
+    widget.stop()
+    assert not viewer.mouse_move_callbacks
+
+
+@pytest.mark.display
+def test_mouse_is_followed_and_clicks_pin_in_a_real_window(
+    make_napari_viewer_proxy, qtbot, blurred
+):
+    viewer = make_napari_viewer_proxy(show=True)
+    image = viewer.add_image(blurred, name="stones")
+    measure(viewer, image, ImagePanel.kept)
+    labels = viewer.add_labels(np.zeros((SIDE, SIDE), np.uint8))
+    widget = ProbeWidget(viewer)
+    dock = viewer.window.add_dock_widget(widget)
+    canvas = viewer.__wrapped__.window._qt_viewer.canvas.native
+    qtbot.waitUntil(lambda: widget._watching)
+    qtbot.wait(100)
+    middle = QPoint(canvas.width() // 2, canvas.height() // 2)
+    QTest.mouseMove(canvas, middle + QPoint(9, 5))
+    QTest.mouseMove(canvas, middle)
+    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    assert viewer.layers.selection == {labels}
+    row, column = (round(at) for at in viewer.cursor.position)
+    assert f"row {row}, column {column}" in widget._curve.figure.axes[0].get_title()
+
+    labels.mode = "paint"
+    QTest.mouseClick(canvas, Qt.LeftButton, pos=middle)
+    assert labels.data.any(), "painted"
+    assert widget.follow.value, "not pinned"
+    labels.mode = "pan_zoom"
+    QTest.mouseClick(canvas, Qt.LeftButton, pos=middle)
+    assert not widget.follow.value, "pinned"
+
+    for theme in ("light", "dark"):
+        viewer.theme = theme
+        ground = get_theme(theme).background.as_rgb_tuple()
+        drawn = np.asarray(widget._curve.figure.get_facecolor())[:3]
+        np.testing.assert_allclose(drawn, np.array(ground) / 255, atol=0.01)
+
+    dock.hide()
+    assert "probe" not in viewer.layers
+    assert not viewer.mouse_move_callbacks
+    dock.show()
+    qtbot.waitUntil(lambda: "probe" in viewer.layers)
+    viewer.window.remove_dock_widget(dock)
+    qtbot.waitUntil(lambda: "probe" not in viewer.layers)
+    QTest.mouseMove(canvas, middle + QPoint(20, 20))
+    qtbot.wait(2 * INTERVAL)
+    assert [layer.name for layer in viewer.layers] == ["stones", "Labels"]

@@ -182,7 +182,7 @@ class ProbeWidget(Container[Widget]):
             self._timer.start(PATIENCE)
 
     def _show_nothing(self, reason: str) -> None:
-        self._outline.remove()
+        self._outline.hide()
         self._curve.draw_nothing()
         self.text.value = reason
 
@@ -193,7 +193,7 @@ class ProbeWidget(Container[Widget]):
         self._refresh_soon()
 
     def _on_press(self, viewer: Any, event: Any) -> Iterator[None]:
-        if event.button != 1 or not may_pin(viewer):
+        if event.button != 1 or event.modifiers or not may_pin(viewer):
             return
         pressed = np.array(event.pos)
         yield

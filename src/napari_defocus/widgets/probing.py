@@ -183,6 +183,7 @@ class WindowOutline:
         self._on_deleted = on_deleted
         self._image: Image | None = None
         self._compiling: threading.Thread | None = None
+        self._hidden = False
         self.layer: Shapes | None = None
 
     def show(self, image: Image, corners: NDArray[np.floating]) -> bool:
@@ -204,11 +205,22 @@ class WindowOutline:
         if self._image is not image:
             self.remove()
             self._add(image, corners)
-        elif self.layer is not None and not np.array_equal(self.layer.data[0], corners):
+        elif self.layer is not None and not np.array_equal(self.layer.data, [corners]):
             self.layer.data = [corners]
+        if self._hidden and self.layer is not None:
+            self.layer.visible = True
+        self._hidden = False
         self._follow(image)
         self.fit_zoom()
         return True
+
+    def hide(self) -> None:
+        """Show no rectangle for now; napari takes some tenths of a second to make a new one."""
+        if self._image is not None and self._image not in self._viewer.layers:
+            self.remove()
+        if self.layer is not None and self.layer.visible:
+            self.layer.visible = False
+            self._hidden = True
 
     def _ready(self) -> bool:
         """Have napari compile what it draws shapes with, in a thread.
@@ -227,7 +239,7 @@ class WindowOutline:
     def remove(self) -> None:
         """Take the rectangle away."""
         layer, self.layer = self.layer, None
-        self._image = None
+        self._image, self._hidden = None, False
         if layer is None:
             return
         self._viewer.layers.events.removed.disconnect(self._on_removed)
@@ -239,8 +251,10 @@ class WindowOutline:
         """Make its line as wide on the screen as it was."""
         if self.layer is None:
             return
-        pixel = float(np.abs(self.layer.scale).min()) * self._viewer.scene.camera.zoom
-        width = OUTLINE_WIDTH / max(pixel, 1e-6)
+        ends = self.layer.data[0][:2]
+        drawn = np.linalg.norm(np.subtract(*(self.layer.data_to_world(end) for end in ends)))
+        zoom = self._viewer.scene.camera.zoom
+        width = OUTLINE_WIDTH / zoom * np.linalg.norm(np.subtract(*ends)) / drawn
         if not np.allclose(self.layer.edge_width, width, rtol=0.02):
             self.layer.edge_width = width
             # Setting it does not draw it.
@@ -307,13 +321,13 @@ def image_of(layers: Any, layer: Layer | None) -> Image | None:
 
 
 def image_to_probe(viewer: ViewerModel, kept: KeptWork) -> Image | None:
-    """Return the image layer to begin with: the active one, else one that was analysed."""
-    active = image_of(viewer.layers, viewer.layers.selection.active)
-    if active is not None:
-        return active
+    """Return the image layer to begin with: one that was analysed, rather the active one."""
     images = [layer for layer in viewer.layers if image_of([], layer) is not None]
-    known = [layer for layer in images if kept.analysed.latest(_itself(layer)) is not None]
-    return (known or images or [None])[-1]
+    active = image_of(viewer.layers, viewer.layers.selection.active)
+    # The active one last, so that it is taken if several will do.
+    ordered = sorted(images, key=lambda image: image is active)
+    known = [image for image in ordered if kept.analysed.latest(_itself(image)) is not None]
+    return (known or ordered or [None])[-1]
 
 
 def may_pin(viewer: ViewerModel) -> bool:
