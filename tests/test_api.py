@@ -24,6 +24,7 @@ PUBLIC = {
     "PSFComparison",
     "PSFEvidence",
     "PSFFamily",
+    "PixelExplanation",
     "Polygon",
     "RegionTable",
     "Settings",
@@ -37,10 +38,12 @@ PUBLIC = {
     "confidence_map",
     "depth_from_blur",
     "depth_surface",
+    "draw_explanation",
     "estimate_blur_map",
     "estimate_candidates",
     "estimate_noise_variance",
     "estimate_shot_noise",
+    "explain_pixel",
     "fit_report",
     "label_blur_map",
     "labeling_energy",
@@ -108,6 +111,7 @@ RESULTS = {
     "PSFEvidence",
     "PSFFamily",
     "RegionTable",
+    "PixelExplanation",
 }
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
     from napari_defocus.confidence import cautious_blur_map, confidence_map
     from napari_defocus.depth import ThinLens, blur_from_depth, depth_from_blur
+    from napari_defocus.explanation import PixelExplanation, draw_explanation, explain_pixel
     from napari_defocus.labeling import estimate_blur_map, label_blur_map, labeling_energy
     from napari_defocus.layered import simulate_layered_defocus
     from napari_defocus.measured_psf import MeasuredPSF
@@ -53,6 +54,7 @@ _HOME_OF = {
     "PSFComparison": "comparison",
     "PSFEvidence": "comparison",
     "PSFFamily": "psf",
+    "PixelExplanation": "explanation",
     "Polygon": "psf",
     "RegionTable": "regions",
     "Settings": "settings_file",
@@ -66,10 +68,12 @@ _HOME_OF = {
     "confidence_map": "confidence",
     "depth_from_blur": "depth",
     "depth_surface": "surface",
+    "draw_explanation": "explanation",
     "estimate_blur_map": "labeling",
     "estimate_candidates": "candidates",
     "estimate_noise_variance": "noise",
     "estimate_shot_noise": "noise",
+    "explain_pixel": "explanation",
     "fit_report": "spectrum",
     "label_blur_map": "labeling",
     "labeling_energy": "labeling",
@@ -95,6 +99,7 @@ __all__ = [
     "PSFComparison",
     "PSFEvidence",
     "PSFFamily",
+    "PixelExplanation",
     "Polygon",
     "RegionTable",
     "Settings",
@@ -108,10 +113,12 @@ __all__ = [
     "confidence_map",
     "depth_from_blur",
     "depth_surface",
+    "draw_explanation",
     "estimate_blur_map",
     "estimate_candidates",
     "estimate_noise_variance",
     "estimate_shot_noise",
+    "explain_pixel",
     "fit_report",
     "label_blur_map",
     "labeling_energy",

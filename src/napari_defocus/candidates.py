@@ -138,15 +138,80 @@ class BlurCandidates:
         ValueError
             If the place is outside the picture.
         """
-        height, width = self.image_shape
-        if not (0 <= row <= height - 1 and 0 <= column <= width - 1):
-            raise ValueError(
-                f"(row, column) is ({row}, {column}); it takes a place in the picture of "
-                f"{height} x {width} px"
-            )
-        i = int(np.argmin(np.abs(self.row_centers - row)))
-        j = int(np.argmin(np.abs(self.column_centers - column)))
-        return self.scales, self.curve[i, j].astype(np.float64)
+        return self.scales, self.curve[self.nearest_window(row, column)].astype(np.float64)
+
+    def nearest_window(self, row: float, column: float) -> tuple[int, int]:
+        """Return which window speaks for one pixel: its place in (R, C).
+
+        Parameters
+        ----------
+        row, column : float
+            A place in the picture, in px.
+
+        Raises
+        ------
+        ValueError
+            If the place is outside the picture.
+        """
+        check_place(row, column, self.image_shape)
+        i = np.abs(self.row_centers - row).argmin()
+        j = np.abs(self.column_centers - column).argmin()
+        return int(i), int(j)
+
+    def window_at(self, row: float, column: float) -> tuple[float, float, float, float]:
+        """Return what part of the picture the curve of one pixel comes from.
+
+        Windows that would reach over the border are moved inside. What counts in a window is
+        weighted by a Gaussian with a standard deviation of a quarter of its side.
+
+        Parameters
+        ----------
+        row, column : float
+            A place in the picture, in px.
+
+        Returns
+        -------
+        top, left, bottom, right : float
+            Edges, in px; the centre of the first pixel is 0, its outer edge -0.5. A picture
+            smaller than a window is all of it.
+
+        Raises
+        ------
+        ValueError
+            If the place is outside the picture.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from napari_defocus import estimate_candidates
+        >>> picture = np.random.default_rng(0).uniform(size=(120, 120))
+        >>> estimate_candidates(picture, stride=1).window_at(60, 0)
+        (39.5, -0.5, 80.5, 40.5)
+        """
+        grid = _AnalysisGrid.over(self.image_shape, self.window, self.stride)
+        edges = []
+        for at, centers, window, length in zip(
+            self.nearest_window(row, column),
+            (grid.rows, grid.columns),
+            (grid.row_of_window, grid.column_of_window),
+            self.image_shape,
+            strict=True,
+        ):
+            center = centers[window[at]] - padding(length, self.window)
+            reach = np.array([-self.window, self.window]) / 2
+            edges.append(np.clip(center + reach, -0.5, length - 0.5))
+        (top, bottom), (left, right) = edges
+        return float(top), float(left), float(bottom), float(right)
+
+
+def check_place(row: float, column: float, shape: tuple[int, int]) -> None:
+    """Check that a place, in px, is in a picture of a height and width."""
+    height, width = shape
+    if not (0 <= row <= height - 1 and 0 <= column <= width - 1):
+        raise ValueError(
+            f"(row, column) is ({row}, {column}); it takes a place in the picture of "
+            f"{height} x {width} px"
+        )
 
 
 def estimate_candidates(

@@ -13,7 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import napari_defocus
-from napari_defocus import depth_commands, lens_commands, restoration_commands
+from napari_defocus import (
+    depth_commands,
+    explanation_commands,
+    lens_commands,
+    restoration_commands,
+)
 from napari_defocus.commands import (
     AsJson,
     ColorSigma,
@@ -429,5 +434,6 @@ def _encoded_masks(
 app.command("restore", cls=SettingsCommand)(restoration_commands.restore)
 app.command("refocus", cls=SettingsCommand)(restoration_commands.refocus)
 app.command("depth")(depth_commands.depth)
+app.command("explain")(explanation_commands.explain)
 app.command("calibrate")(lens_commands.calibrate)
 app.command("compare-psf")(lens_commands.compare)

@@ -391,7 +391,7 @@ def test_lens_without_numbers_is_said_before_any_work(viewer, opened, method, te
     viewer.add_image(texture, name="leaf")
     widget = opened(DepthWidget)
     assert widget.run() is None
-    ready(widget).thin_lens.focus_distance.value = "inf"
+    ready(widget).depth.thin_lens.focus_distance.value = "inf"
     assert widget.run() is None
     first, second = messages()
     assert "Fill in the focal length" in first

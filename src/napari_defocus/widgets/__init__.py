@@ -14,6 +14,7 @@ _HOME_OF = {
     "DepthWidget": "depth",
     "InFocusWidget": "in_focus",
     "MapAndMaskWidget": "map_and_mask",
+    "ProbeWidget": "probe",
     "brushes": "samples",
     "dandelion": "samples",
     "map_reader": "map_files",
