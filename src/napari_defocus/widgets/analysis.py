@@ -94,7 +94,8 @@ class Analysis:
         # Copies: what somebody paints on a layer is not kept.
         layers = [blur_map_layer(self.plane, found.values.copy(), *used, candidates.psf)]
         if self.confidence:
-            layers.append(confidence_layer(self.plane, found.confidence.copy(), *used))
+            confidence = self.plane.counted(found.confidence)
+            layers.append(confidence_layer(self.plane, confidence, *used))
         return layers
 
     def _mask_layers(
@@ -115,7 +116,7 @@ class Analysis:
         )
         used = self.mask, self.estimation, candidates.noise_variance
         name = self.seeds.name if self.seeds else None
-        return [in_focus_layer(self.plane, mask, *used, name)]
+        return [in_focus_layer(self.plane, self.plane.counted(mask), *used, name)]
 
 
 @dataclass(frozen=True, kw_only=True)
