@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
     from napari_defocus.confidence import cautious_blur_map, confidence_map
     from napari_defocus.depth import ThinLens, blur_from_depth, depth_from_blur
+    from napari_defocus.focus_of_planes import FocusCurve, focus_curve
     from napari_defocus.labeling import estimate_blur_map, label_blur_map, labeling_energy
     from napari_defocus.layered import simulate_layered_defocus
     from napari_defocus.measured_psf import MeasuredPSF
@@ -44,6 +45,7 @@ _HOME_OF = {
     "DepthSurface": "surface",
     "Disc": "psf",
     "FitReport": "spectrum",
+    "FocusCurve": "focus_of_planes",
     "Gaussian": "psf",
     "GeneralizedGaussian": "psf",
     "KernelFunction": "psf",
@@ -67,6 +69,7 @@ _HOME_OF = {
     "estimate_noise_variance": "noise",
     "estimate_shot_noise": "noise",
     "fit_report": "spectrum",
+    "focus_curve": "focus_of_planes",
     "label_blur_map": "labeling",
     "labeling_energy": "labeling",
     "psf_from_text": "psf_text",
@@ -83,6 +86,7 @@ __all__ = [
     "DepthSurface",
     "Disc",
     "FitReport",
+    "FocusCurve",
     "Gaussian",
     "GeneralizedGaussian",
     "KernelFunction",
@@ -106,6 +110,7 @@ __all__ = [
     "estimate_noise_variance",
     "estimate_shot_noise",
     "fit_report",
+    "focus_curve",
     "label_blur_map",
     "labeling_energy",
     "psf_from_text",
