@@ -208,13 +208,13 @@ def shown_plane(layer: Image, dims: Dims) -> Plane:
     NotAnalysableError
         If the layer is shown as a volume, or the sliders are outside of it.
     """
-    # Plugins are lent a proxy; the layer itself is what lives and dies.
-    layer = getattr(layer, "__wrapped__", layer)
     return plane_at(layer, shown_index(layer, dims, finest(layer).shape))
 
 
 def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
     """Return the plane of an image layer that an index picks."""
+    # Plugins are lent a proxy; the layer itself is what lives and dies.
+    layer = getattr(layer, "__wrapped__", layer)
     return Plane(
         layer=weakref.ref(layer),
         name=layer.name,
