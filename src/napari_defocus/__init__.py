@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from napari_defocus.confidence import cautious_blur_map, confidence_map
     from napari_defocus.depth import ThinLens, blur_from_depth, depth_from_blur
     from napari_defocus.explanation import PixelExplanation, draw_explanation, explain_pixel
+    from napari_defocus.focus_of_planes import FocusCurve, focus_curve
     from napari_defocus.labeling import estimate_blur_map, label_blur_map, labeling_energy
     from napari_defocus.layered import simulate_layered_defocus
     from napari_defocus.measured_psf import MeasuredPSF
@@ -47,6 +48,7 @@ _HOME_OF = {
     "DepthSurface": "surface",
     "Disc": "psf",
     "FitReport": "spectrum",
+    "FocusCurve": "focus_of_planes",
     "Gaussian": "psf",
     "GeneralizedGaussian": "psf",
     "KernelFunction": "psf",
@@ -75,6 +77,7 @@ _HOME_OF = {
     "estimate_shot_noise": "noise",
     "explain_pixel": "explanation",
     "fit_report": "spectrum",
+    "focus_curve": "focus_of_planes",
     "label_blur_map": "labeling",
     "labeling_energy": "labeling",
     "measure_regions": "regions",
@@ -92,6 +95,7 @@ __all__ = [
     "DepthSurface",
     "Disc",
     "FitReport",
+    "FocusCurve",
     "Gaussian",
     "GeneralizedGaussian",
     "KernelFunction",
@@ -120,6 +124,7 @@ __all__ = [
     "estimate_shot_noise",
     "explain_pixel",
     "fit_report",
+    "focus_curve",
     "label_blur_map",
     "labeling_energy",
     "measure_regions",

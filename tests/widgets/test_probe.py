@@ -15,7 +15,7 @@ from napari_defocus import explain_pixel, simulate_defocus
 from napari_defocus.progress import silent
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets import probe
-from napari_defocus.widgets.estimation import Picture, estimated_candidates, estimated_map
+from napari_defocus.widgets.estimation import Picture, analysed_picture, estimated_map
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import shown_plane
@@ -77,7 +77,7 @@ def test_what_is_told_is_what_is_known_of_the_pixel_there(viewer, blurred, kept)
 def test_candidates_alone_are_told_before_there_is_a_map(viewer, blurred, kept):
     image = viewer.add_image(blurred)
     picture = Picture.of(shown_plane(image, viewer.dims))
-    estimated_candidates(picture, MapSettings(), kept, silent)
+    analysed_picture(picture, MapSettings(), kept, silent)
     assert probed(viewer, image, (30, 30), kept).explanation.blur is None
 
 

@@ -12,6 +12,7 @@ _HOME_OF = {
     "CalibrateWidget": "calibrate",
     "ChangeFocusWidget": "change_focus",
     "DepthWidget": "depth",
+    "FocusCurveWidget": "focus_curve",
     "InFocusWidget": "in_focus",
     "MapAndMaskWidget": "map_and_mask",
     "ProbeWidget": "probe",

@@ -156,7 +156,8 @@ class Analysis:
         # Copies: what somebody paints on a layer is not kept.
         layers = [blur_map_layer(self.plane, found.values.copy(), *used, found.psf)]
         if self.confidence:
-            layers.append(confidence_layer(self.plane, found.confidence.copy(), *used))
+            confidence = self.plane.counted(found.confidence)
+            layers.append(confidence_layer(self.plane, confidence, *used))
         return layers
 
     def _mask_layers(
@@ -169,7 +170,8 @@ class Analysis:
     def _mask_layer(self, analysed: Analysed, mask: NDArray[np.uint8]) -> LayerDataTuple:
         assert self.mask is not None
         used = self.mask, self.estimation, analysed.candidates.noise_variance
-        return in_focus_layer(self.plane, mask, *used, self.seeds.name if self.seeds else None)
+        seeds = self.seeds.name if self.seeds else None
+        return in_focus_layer(self.plane, self.plane.counted(mask), *used, seeds)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,14 +4,14 @@ No Qt here: everything works on a `napari.components.ViewerModel` too.
 """
 
 import weakref
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from napari.components import Dims, LayerList
-from napari.layers import Image, Labels
+from napari.layers import Image, Labels, Layer
 from napari.utils.transforms import CompositeAffine
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 MAX_PIXELS = 64_000_000
 """Larger planes are refused: their spectra would fill an ordinary computer's memory."""
@@ -23,7 +23,7 @@ class NotAnalysableError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """One plane of an image layer, not read yet, and where it lies.
+    """One plane of an image layer or a part of it, not read yet, and where it lies.
 
     Attributes
     ----------
@@ -34,12 +34,16 @@ class Plane:
     data : array
         The layer's data, of level 0 if there are several.
     index : tuple of int or slice
-        What picks the plane out of `data`.
+        What picks the plane out of `data`; slices with start and stop pick a part.
     placement : dict
         The layer's scale, translate, rotate, shear, affine, units and axis labels, with
         `translate` moved to the plane.
     contrast_limits, contrast_limits_range : (float, float)
         The layer's own.
+    inside : (H, W) bool ndarray or None
+        Which pixels of a part count; None if all do.
+    region : str
+        What chose the part, in words; empty for a whole plane.
     """
 
     layer: weakref.ref[Image]
@@ -49,6 +53,8 @@ class Plane:
     placement: dict[str, Any]
     contrast_limits: tuple[float, float]
     contrast_limits_range: tuple[float, float]
+    inside: NDArray[np.bool_] | None = None
+    region: str = ""
 
     def __eq__(self, other: object) -> bool:
         """Tell whether it is the same plane of the same data, wherever the layer lies."""
@@ -57,6 +63,7 @@ class Plane:
             and self.layer == other.layer
             and self.data is other.data
             and self.index == other.index
+            and np.array_equal(self.inside, other.inside)  # type: ignore[arg-type]
         )
 
     def values(self) -> NDArray[Any]:
@@ -67,13 +74,9 @@ class Plane:
         NotAnalysableError
             If the plane is too large.
         """
-        plane = self.data[self.index]
-        if np.prod(plane.shape[:2]) > MAX_PIXELS:
-            raise NotAnalysableError(
-                f"it has {np.prod(plane.shape[:2]) / 1e6:.0f} million pixels, more than "
-                f"{MAX_PIXELS / 1e6:.0f} million. Crop it first."
-            )
-        return np.array(plane, order="C")  # a script reads it in this order, and sums alike
+        check_pixels(self.shape)
+        # A script reads it in this order, and sums alike.
+        return np.array(self.data[self.index], order="C")
 
     def read(self) -> NDArray[Any]:
         """Return a copy of the plane's pixels, all of which have a value, see `values`.
@@ -111,11 +114,60 @@ class Plane:
     def shape(self) -> tuple[int, int]:
         """Height and width in px; nothing is read."""
         height, width = (
-            length
-            for length, at in zip(self.data.shape, self.index, strict=False)
-            if not isinstance(at, int)
+            len(range(length)[cut]) for length, cut in zip(self.whole_shape, self.cuts, strict=True)
         )
         return height, width
+
+    @property
+    def whole_shape(self) -> tuple[int, int]:
+        """Height and width, in px, of the plane that it is a part of."""
+        height, width = sizes_at(self.index, self.data.shape)
+        return height, width
+
+    @property
+    def cuts(self) -> tuple[slice, slice]:
+        """Which rows and columns of the whole plane it has."""
+        rows, columns = (at for at in self.index if isinstance(at, slice))
+        return rows, columns
+
+    @property
+    def is_part(self) -> bool:
+        """Whether it is less than the whole plane."""
+        return self.shape != self.whole_shape
+
+    def at(self, index: tuple[int | slice, ...]) -> Self:
+        """Return what another index picks out of the same layer, lying where that lies."""
+        offset = np.subtract(corner(index), corner(self.index))
+        return replace(self, index=index, placement=_moved(self.placement, offset))
+
+    def part(
+        self,
+        rows: slice,
+        columns: slice,
+        *,
+        inside: NDArray[np.bool_] | None = None,
+        region: str = "",
+    ) -> Self:
+        """Return a part of the plane that it belongs to.
+
+        Parameters
+        ----------
+        rows, columns : slice
+            In px of the whole plane, with start and stop.
+        inside : (H, W) bool ndarray, optional
+            Which pixels of the part count.
+        region : str, optional
+            What chose it, in words.
+        """
+        cuts = iter((rows, columns))
+        index = tuple(at if isinstance(at, int) else next(cuts) for at in self.index)
+        return replace(self.at(index), inside=inside, region=region)
+
+    def counted(self, result: NDArray[Any]) -> NDArray[Any]:
+        """Return a copy of a result, 0 where the pixels do not count, see `inside`."""
+        if self.inside is None:
+            return result.copy()
+        return np.where(self.inside, result, result.dtype.type(0))
 
     def expanded(self, result: NDArray[Any]) -> NDArray[Any]:
         """Return a result of the plane's height and width with the layer's number of axes."""
@@ -126,6 +178,16 @@ class Plane:
         """Tell whether the layer is still in the list, with the data that were read."""
         layer = self.layer()
         return layer is not None and layer in layers and finest(layer) is self.data
+
+
+def check_pixels(shape: tuple[int, int]) -> None:
+    """Refuse planes that are too large, see `MAX_PIXELS`."""
+    pixels = np.prod(shape)
+    if pixels > MAX_PIXELS:
+        raise NotAnalysableError(
+            f"it has {pixels / 1e6:.0f} million pixels, more than "
+            f"{MAX_PIXELS / 1e6:.0f} million. Crop it first."
+        )
 
 
 def shown_plane(layer: Image, dims: Dims) -> Plane:
@@ -147,13 +209,13 @@ def shown_plane(layer: Image, dims: Dims) -> Plane:
     NotAnalysableError
         If the layer is shown as a volume, or the sliders are outside of it.
     """
-    # Plugins are lent a proxy; the layer itself is what lives and dies.
-    layer = getattr(layer, "__wrapped__", layer)
     return plane_at(layer, shown_index(layer, dims, finest(layer).shape))
 
 
 def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
     """Return the plane of an image layer that an index picks."""
+    # Plugins are lent a proxy; the layer itself is what lives and dies.
+    layer = getattr(layer, "__wrapped__", layer)
     return Plane(
         layer=weakref.ref(layer),
         name=layer.name,
@@ -175,6 +237,18 @@ def _pair(limits: Any) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def corner(index: tuple[int | slice, ...]) -> tuple[int, ...]:
+    """Return the first pixel that an index picks."""
+    return tuple(at if isinstance(at, int) else at.start or 0 for at in index)
+
+
+def sizes_at(index: tuple[int | slice, ...], shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the lengths of those of an array's axes that an index keeps."""
+    return tuple(
+        length for length, at in zip(shape, index, strict=False) if not isinstance(at, int)
+    )
+
+
 def shown_index(
     layer: Image | Labels, dims: Dims, shape: tuple[int, ...]
 ) -> tuple[int | slice, ...]:
@@ -187,9 +261,7 @@ def shown_index(
         raise NotAnalysableError(
             "it is shown as a volume. Switch the viewer to 2-D and go to the plane you want."
         )
-    # As napari slices: only the axes that are not displayed have a say.
-    point = [0.0 if axis - first in shown else at for axis, at in enumerate(dims.point)]
-    at = np.round(layer.world_to_data(point)).astype(int)
+    at = shown_position(layer, dims)
     if any(not 0 <= at[axis] < shape[axis] for axis in range(layer.ndim) if axis not in shown):
         raise NotAnalysableError(
             "the viewer shows no plane of it. Move the sliders to where the picture appears."
@@ -197,22 +269,31 @@ def shown_index(
     return tuple(slice(None) if axis in shown else int(at[axis]) for axis in range(layer.ndim))
 
 
+def shown_position(layer: Layer, dims: Dims) -> NDArray[np.int_]:
+    """Return where the sliders stand in a layer's pixels; displayed axes mean nothing."""
+    # As napari slices: only the axes that are not displayed have a say.
+    point = [0.0 if axis in dims.displayed else at for axis, at in enumerate(dims.point)]
+    return np.round(layer.world_to_data(point)).astype(int)
+
+
 def placement(layer: Image, index: tuple[int | slice, ...]) -> dict[str, Any]:
     """Return where a plane of a layer lies, as keywords of a new layer, see `Plane`."""
-    to_physical = CompositeAffine(
-        scale=layer.scale,
-        translate=layer.translate,
-        rotate=layer.rotate,
-        shear=layer.shear,
-        ndim=layer.ndim,
-    )
-    corner = [at if isinstance(at, int) else 0 for at in index]
-    return {
+    placed = {
         "scale": np.array(layer.scale),
-        "translate": np.asarray(to_physical(corner)),
+        "translate": np.array(layer.translate),
         "rotate": np.array(layer.rotate),
         "shear": np.array(layer.shear),
         "affine": np.array(layer.affine.affine_matrix),
         "units": tuple(layer.units),
         "axis_labels": tuple(layer.axis_labels),
     }
+    return _moved(placed, corner(index))
+
+
+def _moved(placed: dict[str, Any], pixels: ArrayLike) -> dict[str, Any]:
+    """Return where a layer lies whose first pixel is another one of the same grid."""
+    to_physical = CompositeAffine(
+        **{name: placed[name] for name in ("scale", "translate", "rotate", "shear")},
+        ndim=len(placed["scale"]),
+    )
+    return placed | {"translate": np.asarray(to_physical(pixels))}

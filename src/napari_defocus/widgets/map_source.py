@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.progress import Progress
 from napari_defocus.settings import MapSettings, psf_of, radius_per_scale
+from napari_defocus.widgets.alignment import lies_on, same_part
 from napari_defocus.widgets.estimation import LARGEST_RADIUS, Picture, estimated_map, known_map
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, finest, shown_plane
@@ -113,14 +114,15 @@ class EstimatedSource:
         made_with = self.settings, found.noise_variance
         # Copies: what somebody paints on a layer is not kept.
         shown = blur_map_layer(picture.plane, found.values.copy(), *made_with, found.psf)
+        confidence = picture.plane.counted(found.confidence)
         # What was asked for is not the map: its colour bar would stand before the result.
         shown[1]["visible"] = False
-        sure = confidence_layer(picture.plane, found.confidence.copy(), *made_with)
+        sure = confidence_layer(picture.plane, confidence.copy(), *made_with)
         return BlurMap(
             name=shown[1]["name"],
             values=found.values,
             psf=found.psf,
-            confidence=found.confidence,
+            confidence=confidence,
             safe=found.safe,
             layers=[shown, sure],
         )
@@ -200,7 +202,8 @@ def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -
     layer : napari.layers.Image
         One channel, with the axes of the image, or of the plane alone.
     plane : Plane
-        What `shown_plane` returns for the viewer's dimensions.
+        What `shown_plane` returns for the viewer's dimensions, or a part of it: of a map of the
+        whole plane, the same part is taken.
     viewer : napari.components.ViewerModel or napari.Viewer
         Where the map's confidence may be.
     psf : str
@@ -209,18 +212,24 @@ def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -
     Raises
     ------
     ValueError
-        If the layer shows no plane of the same height and width, or the lens cannot be.
+        If the layer shows no plane of the same height and width, or one of another part of the
+        picture, or the lens cannot be.
     """
     name = layer.name
     try:
         found = shown_plane(layer, viewer.dims)
     except NotAnalysableError as reason:
         raise ValueError(f"“{name}” cannot be the blur map of “{plane.name}”: {reason}") from None
+    found = _same_part(found, plane)
     if found.shape != plane.shape:
         sizes = [f"{height} x {width} px" for height, width in (found.shape, plane.shape)]
         raise ValueError(
             f"“{name}” cannot be the blur map of “{plane.name}”: it has {sizes[0]}, the picture "
             f"{sizes[1]}."
+        )
+    if plane.is_part and not lies_on(layer, found.index, plane):
+        raise ValueError(
+            f"“{name}” cannot be the blur map of “{plane.name}”: it lies on another part of it."
         )
     made = settings_of_map(layer)
     return LayerSource(
@@ -255,6 +264,11 @@ def may_be_map_of(layer: Any, image: Image) -> bool:
     return bool(sizes[0] == sizes[1])
 
 
+def _same_part(found: Plane, plane: Plane) -> Plane:
+    """Return the part of a layer's plane that a plane of the picture is, if it has the whole."""
+    return found.at(same_part(found.index, found.data.shape, plane))
+
+
 def _confidence_of(layer: Image, found: Plane, viewer: ViewerModel) -> Plane | None:
     """Return the plane with the confidence of a map, if both come from the same estimation."""
     made = layer.metadata.get(METADATA_KEY, {}) if made_by_us(layer) else {}
@@ -267,7 +281,7 @@ def _confidence_of(layer: Image, found: Plane, viewer: ViewerModel) -> Plane | N
     if any(told.get(key) != made.get(key) for key in ("settings", "noise_variance")):
         return None
     try:
-        plane = shown_plane(confidence, viewer.dims)
+        plane = _same_part(shown_plane(confidence, viewer.dims), found)
     except NotAnalysableError:
         return None
     return plane if plane.shape == found.shape else None

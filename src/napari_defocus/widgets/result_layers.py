@@ -36,6 +36,12 @@ KERNEL_COLOR_MAP = "magma"
 NOT_TRUSTED_COLOR = (0.15, 0.15, 0.15, 1.0)
 NOT_TRUSTED_OPACITY = 0.85
 
+OUTSIDE = (
+    "outside of the shapes nothing is in focus and the confidence is 0; the map there is an "
+    "estimate like any other"
+)
+"""What holds for the pixels of a part that do not count."""
+
 
 def blur_map_layer(
     plane: Plane,
@@ -70,7 +76,7 @@ def blur_map_layer(
         "name": f"{plane.name} blur {what}(px)",
         "colormap": COLOR_MAP,
         "contrast_limits": (0.0, float(psf.max_scale)),
-        "metadata": provenance(
+        "metadata": _made_of(
             plane,
             BLUR_MAP,
             asdict(settings),
@@ -112,12 +118,42 @@ def confidence_layer(
         "colormap": CONFIDENCE_COLOR_MAP,
         "contrast_limits": (0.0, 1.0),
         "visible": False,
-        "metadata": provenance(
+        "metadata": _made_of(
             plane, CONFIDENCE, asdict(settings), noise_variance=float(noise_variance)
         ),
         **plane.placement,
     }
     return LayerDataTuple((plane.expanded(confidence), keywords, "image"))
+
+
+def _made_of(plane: Plane, result: str, settings: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Return the metadata of a result, and which part of the picture it is of, if not the whole."""
+    if plane.is_part:
+        more["region"] = described_region(plane)
+    return provenance(plane, result, settings, **more)
+
+
+def described_region(plane: Plane) -> dict[str, Any]:
+    """Return what metadata say about a part of a plane.
+
+    Parameters
+    ----------
+    plane : Plane
+
+    Returns
+    -------
+    dict
+        What chose it, where its rows and columns start and stop in px of the whole plane, and
+        what holds for the pixels that do not count.
+    """
+    rows, columns = (
+        list(cut.indices(length)[:2])
+        for cut, length in zip(plane.cuts, plane.whole_shape, strict=True)
+    )
+    told: dict[str, Any] = {"of": plane.region, "rows": rows, "columns": columns}
+    if plane.inside is not None:
+        told["outside"] = OUTSIDE
+    return told
 
 
 def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> LayerDataTuple:
@@ -182,7 +218,7 @@ def in_focus_layer(
         "name": f"{plane.name} in focus",
         "colormap": fixed_colors({1: MASK_COLOR}),
         "opacity": MASK_OPACITY,
-        "metadata": provenance(
+        "metadata": _made_of(
             plane,
             IN_FOCUS,
             {**asdict(estimation), **asdict(settings)},

@@ -4,18 +4,20 @@ No Qt here, as in `layers`.
 """
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from napari.components import Dims, ViewerModel
-from napari.layers import Image, Labels, Layer
+from napari.layers import Image, Labels
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.seeds import BLURRED, IN_FOCUS, checked_seeds
-from napari_defocus.widgets.layers import Plane, finest, placement, shown_index
+from napari_defocus.widgets.alignment import lies_on, same_part
+from napari_defocus.widgets.layers import Plane, corner, finest, placement, shown_index
 from napari_defocus.widgets.result_layers import MASK_COLOR, fixed_colors
 from napari_defocus.widgets.results import METADATA_KEY
 
@@ -75,9 +77,10 @@ def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
     Parameters
     ----------
     layer : napari.layers.Labels
-        With the axes of the image, or of the plane alone.
+        With the axes of the image, or of the plane alone. Of seeds of the whole plane, a part
+        takes its own.
     plane : Plane
-        What `shown_plane` returns for the same dimensions.
+        What `shown_plane` returns for the same dimensions, or a part of it.
     dims : napari.components.Dims
 
     Returns
@@ -90,38 +93,63 @@ def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
         If it lies elsewhere, has another height and width, or values beside 0, 1 and 2.
     """
     layer = getattr(layer, "__wrapped__", layer)
+    with _said_of(layer, plane):
+        return _seeds_in(layer, shown_index(layer, dims, finest(layer).shape), plane)
+
+
+def seeds_of_plane(layer: Labels, plane: Plane) -> Seeds:
+    """Return what a labels layer says about a plane of a stack, whichever is shown.
+
+    Parameters
+    ----------
+    layer : napari.layers.Labels
+        With the axes of the stack, or of its planes alone: those seeds hold for every plane.
+    plane : Plane
+
+    Returns
+    -------
+    Seeds
+
+    Raises
+    ------
+    ValueError
+        As `shown_seeds`, and if it has no plane there.
+    """
+    with _said_of(layer, plane):
+        return _seeds_in(layer, _index_at(layer, plane), plane)
+
+
+def _index_at(layer: Labels, plane: Plane) -> tuple[int | slice, ...]:
+    """Return what picks out of a labels layer the plane that lies where an image's plane does."""
+    image = plane.layer()
+    if image is None or layer.ndim > image.ndim:
+        raise ValueError("it has other axes than the image")
+    world = image.data_to_world(corner(plane.index))
+    at = np.round(layer.world_to_data(world)).astype(int)
+    shape, shown = finest(layer).shape, plane.index[-layer.ndim :]
+    if any(isinstance(n, int) and not 0 <= at[a] < shape[a] for a, n in enumerate(shown)):
+        raise ValueError("it has no plane where the image has one")
+    return tuple(int(at[a]) if isinstance(n, int) else slice(None) for a, n in enumerate(shown))
+
+
+def _seeds_in(layer: Labels, index: tuple[int | slice, ...], plane: Plane) -> Seeds:
+    index = same_part(index, finest(layer).shape, plane)
+    values = checked_seeds(np.array(finest(layer)[index]), plane.shape)
+    if not lies_on(layer, index, plane):
+        raise ValueError("it lies elsewhere than the image, or has another scale")
+    return Seeds(layer.name, values)
+
+
+@contextmanager
+def _said_of(layer: Labels, plane: Plane) -> Iterator[None]:
+    """Let errors say which layer does not fit which image, and how to get one that does."""
     try:
-        index = shown_index(layer, dims, finest(layer).shape)
-        values = checked_seeds(np.array(finest(layer)[index]), plane.shape)
-        if not _lies_on(layer, index, plane):
-            raise ValueError("it lies elsewhere than the image, or has another scale")
+        yield
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"“{layer.name}” cannot be the seeds of “{plane.name}”: {str(error).rstrip('.')}. "
             "“New seeds layer” makes one that fits."
         ) from None
-    return Seeds(layer.name, values)
-
-
-def _lies_on(layer: Labels, index: tuple[int | slice, ...], plane: Plane) -> bool:
-    """Tell whether a layer's corners are shown where the plane's are, to half a pixel."""
-    image = plane.layer()
-    if image is None:
-        return False
-    expected = _shown_corners(image, plane.index, plane.shape)
-    pixel = np.linalg.norm(expected[3] - expected[0]) / np.linalg.norm(np.subtract(plane.shape, 1))
-    away = np.abs(_shown_corners(layer, index, plane.shape) - expected)
-    return bool(away.max() < pixel / 2)
-
-
-def _shown_corners(
-    layer: Layer, index: tuple[int | slice, ...], shape: tuple[int, int]
-) -> NDArray[np.floating]:
-    """Return the world coordinates of a plane's corner pixels along its own axes: (4, 2)."""
-    shown = [axis for axis, at in enumerate(index) if not isinstance(at, int)]
-    points = np.tile([float(at) if isinstance(at, int) else 0.0 for at in index], (4, 1))
-    points[:, shown] = np.array(list(np.ndindex(2, 2))) * np.subtract(shape, 1)
-    return np.array([layer.data_to_world(point) for point in points])[:, shown]
 
 
 def add_seeds_layer(viewer: ViewerModel, image: Image) -> Labels:

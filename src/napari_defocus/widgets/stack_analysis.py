@@ -1,0 +1,257 @@
+"""What one run does with all planes of a stack, one after the other: no Qt, any thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels
+from napari.types import LayerDataTuple
+from numpy.typing import NDArray
+
+from napari_defocus.progress import Progress, silent
+from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
+from napari_defocus.widgets.analysis import Analysis
+from napari_defocus.widgets.kept import KeptWork
+from napari_defocus.widgets.layers import NotAnalysableError, Plane
+from napari_defocus.widgets.results import (
+    BLUR_MAP,
+    CONFIDENCE,
+    IN_FOCUS,
+    METADATA_KEY,
+    Results,
+)
+from napari_defocus.widgets.seeds import seeds_of_plane
+
+MOST_BYTES = 8_000_000_000
+"""Results that fill more are refused."""
+
+PLANES = "planes"
+"""Where a stack's metadata say which of its axes are its planes', and what each one had."""
+
+Position = tuple[int, ...]
+"""Where a plane is along the axes that are not displayed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StackAnalysis:
+    """What is wanted of all planes of a stack.
+
+    Attributes
+    ----------
+    plane : Plane
+        One of them, or a part of it, such as the one that is shown; the others are those at all
+        other positions of the axes that are not displayed. Of a single picture, there are none.
+    estimation : MapSettings
+        What the candidates are estimated with, and the maps labelled.
+    mask : MaskSettings or None
+        What is segmented with; None for no mask.
+    seeds : napari.layers.Labels or None
+        What the mask keeps to. Each plane has its own if the layer has the axes of the stack.
+    blur_map : bool
+        Whether a blur map is wanted.
+    confidence : bool
+        Whether the blur map's confidence is wanted too.
+    """
+
+    plane: Plane
+    estimation: MapSettings
+    mask: MaskSettings | None = None
+    seeds: Labels | None = None
+    blur_map: bool = True
+    confidence: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse, before any work is done, impossible settings, seeds, and too much of all."""
+        self._of_plane(self.plane)
+        size = sum(np.dtype(dtype).itemsize for dtype in self._dtypes().values())
+        size *= int(np.prod(self.shape))
+        if size > MOST_BYTES:
+            raise NotAnalysableError(
+                f"the results of its {len(list(self.positions()))} planes would fill "
+                f"{size / 1e9:.0f} GB, more than {MOST_BYTES / 1e9:.0f} GB. Choose a smaller "
+                "region, single planes, or a part of the stack."
+            )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the results: the layer's, or that of the parts."""
+        sizes = iter(self.plane.shape)
+        lengths = zip(self.plane.data.shape, self.plane.index, strict=False)
+        return tuple(length if isinstance(at, int) else next(sizes) for length, at in lengths)
+
+    def positions(self) -> Iterator[Position]:
+        """Return where the planes are along the axes that are not displayed, in order."""
+        sliced = (
+            range(length)
+            for length, at in zip(self.plane.data.shape, self.plane.index, strict=False)
+            if isinstance(at, int)
+        )
+        return product(*sliced)
+
+    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+        """Return the wanted results as layers that lie on the stack.
+
+        A plane that cannot be analysed is NaN in the map and 0 in the mask and the confidence;
+        the summary and the metadata say why.
+
+        Parameters
+        ----------
+        kept : KeptWork
+            What earlier runs have found; what this one finds of `plane` is added, and of no
+            other plane.
+        progress : callable, optional
+            See `napari_defocus.progress`.
+
+        Raises
+        ------
+        NotAnalysableError
+            If no plane can be analysed.
+        """
+        found = _Found({name: self._empty(name) for name in self._dtypes()})
+        positions = list(self.positions())
+        for number, position in enumerate(positions):
+            plane = self.plane.at(_index_at(self.plane, position))
+            # Candidates of one plane may be as large as the results of many.
+            memory = kept if plane == self.plane else KeptWork()
+            reported = _of_one(progress, number, len(positions))
+            reported("Reading the picture", 0.0)
+            try:
+                layers = self._of_plane(plane).run(memory, reported)
+            except ValueError as reason:
+                found.refused[position] = str(reason)
+            else:
+                found.take(layers, plane, position)
+        if len(found.refused) == len(positions):
+            raise NotAnalysableError(next(iter(found.refused.values())))
+        return Results(self._layers(found), self._summary(found))
+
+    def _of_plane(self, plane: Plane) -> Analysis:
+        return Analysis(
+            plane=plane,
+            estimation=self.estimation,
+            mask=self.mask,
+            seeds=None if self.seeds is None else seeds_of_plane(self.seeds, plane),
+            blur_map=self.blur_map,
+            confidence=self.confidence,
+        )
+
+    def _dtypes(self) -> dict[str, type]:
+        """Return the dtypes of the wanted results."""
+        wanted: dict[str, type] = {BLUR_MAP: np.float32} if self.blur_map else {}
+        if self.blur_map and self.confidence:
+            wanted[CONFIDENCE] = np.float32
+        return wanted | ({IN_FOCUS: np.uint8} if self.mask is not None else {})
+
+    def _empty(self, result: str) -> NDArray[Any]:
+        filled = np.nan if result == BLUR_MAP else 0
+        return np.full(self.shape, filled, self._dtypes()[result])
+
+    def _layers(self, found: _Found) -> list[LayerDataTuple]:
+        """Return what was found as layers like those of one plane, lying where the first one is."""
+        first = self.plane.at(_index_at(self.plane, next(self.positions())))
+        of_all = {
+            "noise_variance": float(np.median(list(found.noise_variances.values()))),
+            PLANES: self._told_of_planes(found),
+        }
+        return [
+            LayerDataTuple(
+                (
+                    found.values[result],
+                    keywords
+                    | first.placement
+                    | {"metadata": {METADATA_KEY: keywords["metadata"][METADATA_KEY] | of_all}},
+                    kind,
+                )
+            )
+            for result, (keywords, kind) in found.looks.items()
+        ]
+
+    def _told_of_planes(self, found: _Found) -> dict[str, Any]:
+        sliced = [axis for axis, at in enumerate(self.plane.index) if isinstance(at, int)]
+        return {
+            "axes": sliced,
+            "noise_variances": [found.noise_variances.get(at) for at in self.positions()],
+            "not analysed": {str(_named(at)): why for at, why in found.refused.items()},
+        }
+
+    def _summary(self, found: _Found) -> str:
+        low, high = (f(found.noise_variances.values()) for f in (min, max))
+        how = "found" if self.estimation.noise_variance is None else "given"
+        span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
+        count = len(found.noise_variances)
+        lines = [f"{count} plane{'s' * (count != 1)}", f"Noise variance {span} ({how})"]
+        if CONFIDENCE in found.values:
+            share = found.share_sure()
+            lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
+        return "\n".join([*lines, *found.told_refused()])
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found until now.
+
+    Attributes
+    ----------
+    values : dict of ndarray
+        The results of the whole stack.
+    looks : dict
+        What layers of them look like: the keywords and the type of those of one plane.
+    noise_variances : dict
+        Of the planes that were analysed.
+    refused : dict
+        Why the others were not.
+    """
+
+    values: dict[str, NDArray[Any]]
+    looks: dict[str, tuple[dict[str, Any], str]] = field(default_factory=dict)
+    noise_variances: dict[Position, float] = field(default_factory=dict)
+    refused: dict[Position, str] = field(default_factory=dict)
+
+    def take(self, layers: list[LayerDataTuple], plane: Plane, position: Position) -> None:
+        """Put the results of one plane into their place."""
+        at = tuple(n if isinstance(n, int) else slice(None) for n in plane.index)
+        only = tuple(0 if isinstance(n, int) else slice(None) for n in plane.index)
+        for data, keywords, kind in layers:
+            made = keywords["metadata"][METADATA_KEY]
+            self.values[made["result"]][at] = data[only]
+            self.looks[made["result"]] = keywords, kind
+            self.noise_variances[position] = made["noise_variance"]
+
+    def share_sure(self) -> float:
+        """Return the share of the analysed pixels whose confidence is high."""
+        confidence = self.values[CONFIDENCE]
+        analysed = confidence.size * len(self.noise_variances)
+        analysed //= len(self.noise_variances) + len(self.refused)
+        return float(np.count_nonzero(confidence >= CONFIDENT) / analysed)
+
+    def told_refused(self) -> list[str]:
+        """Return a line for every reason why planes were not analysed."""
+        planes_of: dict[str, list[str]] = {}
+        for position, reason in self.refused.items():
+            planes_of.setdefault(reason, []).append(str(_named(position)))
+        return [
+            f"Not analysed: plane{'s' * (len(names) != 1)} {', '.join(names)} (from 0): {reason}"
+            for reason, names in planes_of.items()
+        ]
+
+
+def _named(position: Position) -> int | Position:
+    return position[0] if len(position) == 1 else position
+
+
+def _index_at(plane: Plane, position: Position) -> tuple[int | slice, ...]:
+    steps = iter(position)
+    return tuple(next(steps) if isinstance(at, int) else at for at in plane.index)
+
+
+def _of_one(progress: Progress, number: int, count: int) -> Progress:
+    """Return a callback for the work on one plane that names it, counted from 1."""
+
+    def report(step: str, done: float) -> None:
+        progress(f"Plane {number + 1} of {count}: {step}", (number + done) / count)
+
+    return report
