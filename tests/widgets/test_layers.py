@@ -14,7 +14,13 @@ from napari_defocus.widgets.result_layers import (
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.results import METADATA_KEY, made_by_us, show_results
+from napari_defocus.widgets.results import (
+    BLUR_MAP,
+    METADATA_KEY,
+    layer_of_result,
+    made_by_us,
+    show_results,
+)
 
 PLACED = {
     "scale": (0.5, 0.25),
@@ -174,6 +180,70 @@ def test_layer_of_somebody_else_is_never_overwritten(viewer, texture):
     show_results(viewer, results_of(plane))
     assert theirs.data.shape == (5, 5)
     assert len(viewer.layers) == 4
+
+
+def test_somebody_elses_layer_leads_to_one_new_layer_and_not_to_one_a_run(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    viewer.add_image(np.zeros((5, 5)), name="leaf blur (px)")
+    first, second = (show_results(viewer, results_of(plane)) for _ in range(2))
+    assert first == second
+    assert first[0].name == "leaf blur (px) 2"
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def test_earlier_results_stay_beside_the_new_ones_if_that_is_wanted(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    for radius in (1, 2, 3):
+        show_results(viewer, results_of(plane, radius=radius), keep_earlier=True)
+    assert names(viewer) == [
+        "leaf",
+        *("leaf blur (px)", "leaf in focus"),
+        *("leaf blur (px) 2", "leaf in focus 2"),
+        *("leaf blur (px) 3", "leaf in focus 3"),
+    ]
+    for name, radius in (("", 1), (" 2", 2), (" 3", 3)):
+        assert (viewer.layers[f"leaf blur (px){name}"].data == radius).all()
+
+
+def test_what_one_run_has_made_has_one_number(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    blur_map, mask = results_of(plane)
+    show_results(viewer, [blur_map], keep_earlier=True)
+    show_results(viewer, [blur_map, mask], keep_earlier=True)
+    assert names(viewer) == ["leaf", "leaf blur (px)", "leaf blur (px) 2", "leaf in focus 2"]
+
+
+def test_next_run_updates_the_newest_of_several_results(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    old, _ = show_results(viewer, results_of(plane, radius=1))
+    new, _ = show_results(viewer, results_of(plane, radius=2), keep_earlier=True)
+    viewer.layers.move(viewer.layers.index(new), 0)
+    updated, _ = show_results(viewer, results_of(plane, radius=3))
+    assert updated is new
+    assert (new.name, float(new.data.max())) == ("leaf blur (px) 2", 3)
+    assert (old.name, float(old.data.max())) == ("leaf blur (px)", 1)
+
+
+@pytest.mark.parametrize("renamed", [False, True])
+def test_newest_result_is_found_wherever_it_stands_and_whatever_its_name(viewer, texture, renamed):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    show_results(viewer, results_of(plane))
+    new, _ = show_results(viewer, results_of(plane), keep_earlier=True)
+    viewer.layers.move(viewer.layers.index(new), 0)
+    if renamed:
+        new.name = "the best one"
+    assert layer_of_result(viewer.layers, BLUR_MAP, "leaf") is new
+
+
+def test_duplicate_of_a_result_is_not_taken_for_a_newer_one(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    blur_map, _ = show_results(viewer, results_of(plane))
+    data, keywords, kind = blur_map.as_layer_data_tuple()
+    viewer.add_layer(Image.create(data, {**keywords, "name": "leaf blur (px) copy"}, kind))
+    assert layer_of_result(viewer.layers, BLUR_MAP, "leaf") is blur_map
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ No Qt, any thread.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,8 +25,10 @@ from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
     METADATA_KEY,
-    layer_of_result,
     made_by_us,
+    results_of,
+    run_of,
+    same_estimation,
 )
 
 if TYPE_CHECKING:
@@ -260,14 +263,11 @@ def _confidence_of(layer: Image, found: Plane, viewer: ViewerModel) -> Plane | N
     made = layer.metadata.get(METADATA_KEY, {}) if made_by_us(layer) else {}
     if "source" not in made:
         return None
-    confidence = layer_of_result(viewer.layers, CONFIDENCE, made["source"])
-    if confidence is None:
-        return None
-    told = confidence.metadata[METADATA_KEY]
-    if any(told.get(key) != made.get(key) for key in ("settings", "noise_variance")):
-        return None
-    try:
-        plane = shown_plane(confidence, viewer.dims)
-    except NotAnalysableError:
-        return None
-    return plane if plane.shape == found.shape else None
+    results = results_of(viewer.layers, CONFIDENCE, made["source"])
+    for confidence in sorted(results, key=lambda result: run_of(result) != run_of(layer)):
+        if same_estimation(confidence, layer):
+            with suppress(NotAnalysableError):
+                plane = shown_plane(confidence, viewer.dims)
+                if plane.shape == found.shape:
+                    return plane
+    return None
