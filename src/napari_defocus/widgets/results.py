@@ -118,6 +118,8 @@ def show_results(
 ) -> list[Layer]:
     """Put results into a viewer; those of an earlier run on the same layer are updated or kept.
 
+    From then on the viewer tells the blur under the cursor, see `cursor_text`.
+
     Parameters
     ----------
     viewer : napari.components.ViewerModel or napari.Viewer
@@ -146,11 +148,16 @@ def show_results(
     >>> [layer.name for layer in viewer.layers]
     ['leaf blur (px)', 'leaf blur (px) 2']
     """
+    # cursor_text reads results, so it comes after this file.
+    from napari_defocus.widgets.cursor_text import tell_under_cursor
+
     run = 1 + max(map(run_of, viewer.layers), default=0)
     results = [_of_run(result, run) for result in results]
     if keep_earlier:
         results = _with_free_names(viewer.layers, results)
-    return [_shown_result(viewer, *result) for result in results]
+    shown = [_shown_result(viewer, *result) for result in results]
+    tell_under_cursor(viewer)
+    return shown
 
 
 def _of_run(result: LayerDataTuple, run: int) -> LayerDataTuple:
