@@ -230,7 +230,7 @@ def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -
         plane=found,
         psf=made.psf if made else psf,
         max_radius=made.max_radius if made else MapSettings.max_radius,
-        confidence=_confidence_of(layer, found, viewer),
+        confidence=confidence_of(layer, found, viewer),
         made_with=made,
     )
 
@@ -258,7 +258,7 @@ def may_be_map_of(layer: Any, image: Image) -> bool:
     return bool(sizes[0] == sizes[1])
 
 
-def _confidence_of(layer: Image, found: Plane, viewer: ViewerModel) -> Plane | None:
+def confidence_of(layer: Image, found: Plane, viewer: ViewerModel) -> Plane | None:
     """Return the plane with the confidence of a map, if both come from the same estimation."""
     made = layer.metadata.get(METADATA_KEY, {}) if made_by_us(layer) else {}
     if "source" not in made:

@@ -31,6 +31,7 @@ ALL_IN_FOCUS = "all in focus"
 REFOCUSED = "refocused"
 DEPTH = "depth"
 DEPTH_SURFACE = "depth surface"
+RELIEF = "relief"
 
 _WITH_COLOR_BAR = (BLUR_MAP, CONFIDENCE, DEPTH)
 
