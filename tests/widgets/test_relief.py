@@ -213,6 +213,9 @@ def test_of_a_stack_the_plane_that_is_shown(viewer):
         np.testing.assert_allclose(relief.texture[..., 0] / 255, stack.data[3], atol=0.01)
         place, _ = corners(relief)
         assert relief.data_to_world(place[place[:, 0].argmin()])[0] == pytest.approx(13, abs=1e-3)
+        viewer.dims.ndisplay = 2
+        assert state(viewer)["dims"] == before["dims"]
+        viewer.dims.ndisplay = 3
     hide_relief(viewer)
     assert state(viewer) == before
 
@@ -282,3 +285,26 @@ def test_viewer_that_is_lent_to_a_plugin_shows_it_and_comes_back(window, texture
     assert window.dims.ndisplay == 3
     assert hide_relief(window)
     assert [found.visible for found in window.layers] == before
+
+
+@pytest.mark.display
+def test_button_of_a_window_switches_between_the_plane_of_a_stack_and_its_relief(
+    make_napari_viewer, qapp
+):
+    viewer = make_napari_viewer()
+    stack = viewer.add_image(np.random.default_rng(0).random((5, 32, 48)), scale=(4, 1, 1))
+    viewer.dims.set_current_step(0, 3)
+    results_on(stack, viewer)
+    before = state(viewer)
+    relief = show_relief(viewer, stack)
+    qapp.processEvents()
+    for _ in range(2):
+        viewer.dims.ndisplay = 2
+        assert state(viewer)["dims"] == before["dims"]
+        assert stack.visible
+        viewer.dims.ndisplay = 3
+        assert relief.visible
+    viewer.dims.ndisplay = 2
+    viewer.dims.set_point(0, 4)
+    hide_relief(viewer)
+    assert viewer.dims.point[0] == 4, "the plane that was gone to meanwhile"

@@ -189,8 +189,9 @@ def _on_status(event: Any) -> None:
 def _with_text(status: dict[str, Any], asked: Layer, text: str) -> str:
     if status["coordinates"].endswith(text):
         return str(status["coordinates"])
-    if made_by_us(asked) in _SAID_IN_WORDS and status.get("coords"):
-        return f"{status['coords']}: {text}"
+    coordinates, value = status.get("coords"), status.get("value")
+    if coordinates and (made_by_us(asked) in _SAID_IN_WORDS or not value):
+        return f"{coordinates}: {text}"
     return f"{status['coordinates']}; {text}"
 
 

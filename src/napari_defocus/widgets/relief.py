@@ -36,9 +36,6 @@ Holes there would leave tatters of a photograph, and the veil of the 2-D view ca
 _LOOKING = (-1.0, -0.55, 0.4)
 """Where the camera looks, as height, rows, columns: down on the picture, from below and left."""
 
-_ZOOMED_OUT = 0.9
-"""What is tilted is wider than napari expects."""
-
 
 def show_relief(
     viewer: ViewerModel,
@@ -234,7 +231,6 @@ def _look_at(viewer: ViewerModel, relief: Surface, view: _View | None) -> None:
         return
     viewer.scene.camera.set_view_direction(_LOOKING, up_direction=(0, -1, 0))
     viewer.fit_to_view(layers=[relief])
-    viewer.scene.camera.zoom *= _ZOOMED_OUT
 
 
 class _WayBack:
@@ -262,7 +258,8 @@ class _WayBack:
         active = viewer.layers.selection.active
         self._active = None if active is None else weakref.ref(active)
         self._flat = self._deep = _View.of(viewer)
-        self._dims = viewer.dims.ndisplay, viewer.dims.order, viewer.dims.point
+        self._ndisplay = viewer.dims.ndisplay
+        self._axes = viewer.dims.order, viewer.dims.point
 
     def view_of(self, image_layer: Image) -> _View | None:
         """Return how the relief is looked at, if it is of that picture."""
@@ -288,8 +285,10 @@ class _WayBack:
             # napari is still busy with its axes: removing a layer now would break its sliders.
             self._deep = _View.of(viewer)
             self._show_visible(viewer)
+            self._go_to_plane(viewer)
         elif event.type == "ndisplay":
             self._visible, self._flat = _visible(viewer), _View.of(viewer)
+            self._axes = viewer.dims.order, viewer.dims.point
             _show_alone(viewer, relief)
             self._deep.restore(viewer)
 
@@ -301,15 +300,20 @@ class _WayBack:
         viewer.layers.events.removed.disconnect(self)
         viewer.dims.events.ndisplay.disconnect(self)
         was_shown, view = viewer.dims.ndisplay == 3, _View.of(viewer)
+        if not was_shown:
+            self._axes = viewer.dims.order, viewer.dims.point
         if relief in viewer.layers:
             viewer.layers.remove(relief)
         if was_shown:
-            viewer.dims.ndisplay = self._dims[0]
+            viewer.dims.ndisplay = self._ndisplay
             self._show_visible(viewer)
         else:
             # napari fits its view to the axes that are left.
             view.restore(viewer)
-        self._restore(viewer)
+        self._go_to_plane(viewer)
+        active = self._active and self._active()
+        if active in viewer.layers:
+            viewer.layers.selection.active = active
 
     def _show_visible(self, viewer: ViewerModel) -> None:
         """Show what was visible, as it was looked at."""
@@ -322,14 +326,12 @@ class _WayBack:
                 layer.visible = True
         self._flat.restore(viewer)
 
-    def _restore(self, viewer: ViewerModel) -> None:
-        _, order, point = self._dims
-        # Without its layer a stack has fewer axes now.
+    def _go_to_plane(self, viewer: ViewerModel) -> None:
+        """Go to the plane that was shown: napari has followed the camera with its sliders."""
+        order, point = self._axes
+        # The relief of a picture has one axis more, and without its layer a stack has fewer.
         if viewer.dims.ndim == len(order):
             viewer.dims.order, viewer.dims.point = order, point
-        active = self._active and self._active()
-        if active in viewer.layers:
-            viewer.layers.selection.active = active
 
 
 def _visible(viewer: ViewerModel) -> list[weakref.ref[Layer]]:
