@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from napari_defocus import depth_surface
+from napari_defocus.surface import blur_surface
 
 
 def consistent(surface):
@@ -153,3 +154,37 @@ def test_colours_use_the_intensity_range_and_stay_within():
 def test_impossible_surface_is_an_error(arguments, error, words):
     with pytest.raises(error, match=words):
         depth_surface(**{"depth": np.ones((4, 5)), **arguments})
+
+
+def test_what_is_in_focus_stands_out_and_a_px_of_blur_is_always_as_high():
+    slope = np.broadcast_to(np.linspace(1, 3, 201), (100, 201))
+    z = consistent(blur_surface(slope, max_scale=8.0)).vertices[:, 0]
+    np.testing.assert_allclose(z.reshape(100, 201), 0.5 * 201 * (1 - slope / 8), rtol=1e-5)
+    flat = blur_surface(np.full((100, 201), 3.0), max_scale=8.0).vertices[:, 0]
+    assert (flat == z.min()).all()
+
+
+def test_blur_that_jumps_or_is_not_known_tears_the_surface():
+    blur = np.where(np.arange(20) < 8, 1.0, 1.6) * np.ones((30, 1))
+    assert len(consistent(blur_surface(blur, max_scale=8.0)).faces) == 2 * 29 * (7 + 11)
+    assert len(blur_surface(blur, max_scale=8.0, largest_jump=0.7).faces) == 2 * 29 * 19
+    blur[10, 3] = np.nan
+    assert len(consistent(blur_surface(blur, max_scale=8.0)).faces) == 2 * 29 * (7 + 11) - 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ({"blur_map": np.ones(5)}, ValueError, r"blur_map has shape \(5,\); it takes \(H, W\)"),
+        ({"blur_map": [["much"]]}, TypeError, "blur_map has dtype .*; it takes real numbers"),
+        ({"blur_map": -np.ones((4, 5))}, ValueError, "blur_map has values that are infinite or"),
+        ({"blur_map": np.full((4, 5), np.nan)}, ValueError, "blur_map leaves no triangle"),
+        ({"max_scale": 0}, ValueError, "max_scale is 0; it takes a finite number above 0"),
+        ({"largest_jump": 0}, ValueError, "largest_jump is 0; it takes a number above 0"),
+        ({"relief": math.inf}, ValueError, "relief is inf; it takes a finite number above 0"),
+        ({"step": 4}, ValueError, "step is 4; it takes a whole number from 1"),
+    ],
+)
+def test_surface_of_blur_says_what_it_takes(arguments, error, words):
+    with pytest.raises(error, match=words):
+        blur_surface(**({"blur_map": np.ones((4, 5)), "max_scale": 8.0} | arguments))

@@ -1,10 +1,12 @@
-"""A map of distances as a surface of triangles, for 3-D viewers."""
+"""A map of distances, or of blur, as a surface of triangles, for 3-D viewers."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +24,7 @@ _RANGE = (1, 99)
 
 @dataclass(frozen=True)
 class DepthSurface:
-    """A surface of triangles, as `depth_surface` makes it.
+    """A surface of triangles, as `depth_surface` and `blur_surface` make it.
 
     Attributes
     ----------
@@ -113,20 +115,118 @@ def depth_surface(
         raise ValueError(f"depth has shape {distance.shape}; it takes (H, W), 2 px or more a side")
     check_number("largest_jump", largest_jump, lambda j: j > 0, "a number above 0")
     check_number("relief", relief, lambda r: 0 < r < math.inf, "a finite number above 0")
-    color = None if image is None else _colors(image, distance.shape, intensity_range)
+    color = None if image is None else picture_colors(image, distance.shape, intensity_range)
     rows, columns = _grid(distance.shape, step)
     corner = distance[rows, columns]
-    triangles = _triangles(corner, largest_jump)
+    triangles = _triangles(corner, lambda nearest: largest_jump * nearest)
     if not len(triangles):
         raise ValueError(
             "depth leaves no triangle; it takes neighbours that are finite and within "
             f"largest_jump = {largest_jump:g} of each other"
         )
+    height = _heights(corner, relief * max(distance.shape))
+    return _surface(triangles, height, rows, columns, color)
+
+
+def blur_surface(
+    blur_map: ArrayLike,
+    *,
+    max_scale: float,
+    step: int | None = None,
+    largest_jump: float = 0.5,
+    relief: float = 0.5,
+) -> DepthSurface:
+    """Make a surface of a blur map, to be looked at in three dimensions.
+
+    What is in focus stands out: z = relief max(H, W) (1 - r / max_scale), in px of the picture.
+    So a px of blur is as high in every picture of a size, and a map that says the same
+    everywhere is flat. Whether what is blurred lies before or behind the focus, the blur does
+    not say: it is drawn behind. The surface has a hole where the blur is not known, and is torn
+    where it jumps.
+
+    Parameters
+    ----------
+    blur_map : (H, W) array_like
+        Scale in px, from 0 up, such as from `estimate_blur_map`. NaN is left out.
+    max_scale : float
+        The scale, in px, that is drawn at z = 0, such as the largest of the PSF family.
+    step : int, optional
+        See `depth_surface`.
+    largest_jump : float, optional
+        No triangle spans scales whose difference is more than this, in px.
+    relief : float, optional
+        How far 0 px and `max_scale` are apart in z, as a share of the longer side.
+
+    Returns
+    -------
+    DepthSurface
+        Without colours.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `depth_surface`, if `blur_map` is infinite or below 0 somewhere, or `max_scale` is
+        not above 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> surface = blur_surface([[0.0, 0.2, 4.0], [0.0, 0.2, 4.0]], max_scale=8.0)
+    >>> surface.vertices.round(2)
+    array([[1.5 , 0.  , 0.  ],
+           [1.46, 0.  , 1.  ],
+           [1.5 , 1.  , 0.  ],
+           [1.46, 1.  , 1.  ]], dtype=float32)
+    """
+    scale = _checked_scale(blur_map)
+    for name, value in (("max_scale", max_scale), ("relief", relief)):
+        check_number(name, value, lambda v: 0 < v < math.inf, "a finite number above 0")
+    check_number("largest_jump", largest_jump, lambda j: j > 0, "a number above 0")
+    rows, columns = _grid(scale.shape, step)
+    corner = scale[rows, columns]
+    triangles = _triangles(corner, lambda _: largest_jump)
+    if not len(triangles):
+        raise ValueError(
+            "blur_map leaves no triangle; it takes neighbours that are known and within "
+            f"largest_jump = {largest_jump:g} px of each other"
+        )
+    height = relief * max(scale.shape) * (1 - corner / max_scale)
+    return _surface(triangles, height, rows, columns)
+
+
+def picture_colors(
+    image: ArrayLike, shape: tuple[int, ...], intensity_range: tuple[float, float] | None
+) -> Float32:
+    """Return the colours of a picture of that height and width, (H, W, 3) in [0, 1]."""
+    picture = prepare_image(image, intensity_range)
+    if picture.shape != shape:
+        raise ValueError(f"image has height and width {picture.shape}; it takes the map's, {shape}")
+    return np.broadcast_to(np.clip(picture.color, 0, 1), (*shape, 3))
+
+
+def _checked_scale(blur_map: ArrayLike) -> Float64:
+    scale = np.asarray(blur_map)
+    if scale.dtype.kind not in "uif":
+        raise TypeError(f"blur_map has dtype {scale.dtype}; it takes real numbers")
+    if scale.ndim != 2 or min(scale.shape) < 2:
+        raise ValueError(f"blur_map has shape {scale.shape}; it takes (H, W), 2 px or more a side")
+    if np.isinf(scale).any() or (scale < 0).any():
+        raise ValueError("blur_map has values that are infinite or below 0; it takes px, or NaN")
+    return scale.astype(np.float64)
+
+
+def _surface(
+    triangles: NDArray[np.intp],
+    height: Float64,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    color: Float32 | None = None,
+) -> DepthSurface:
+    """Return the surface of those triangles of a grid, whose corners are `height` high."""
     used, faces = np.unique(triangles, return_inverse=True)
-    row, column = (np.broadcast_to(index, corner.shape).ravel()[used] for index in (rows, columns))
-    z = _heights(corner, relief * max(distance.shape)).ravel()[used]
+    row, column = (np.broadcast_to(index, height.shape).ravel()[used] for index in (rows, columns))
     return DepthSurface(
-        vertices=np.stack([z, row, column], axis=1).astype(np.float32),
+        vertices=np.stack([height.ravel()[used], row, column], axis=1).astype(np.float32),
         faces=faces.reshape(-1, 3).astype(np.int32),
         colors=None if color is None else color[row, column],
     )
@@ -145,18 +245,21 @@ def _grid(shape: tuple[int, ...], step: int | None) -> tuple[NDArray[np.intp], N
     return rows[:, None], columns[None]
 
 
-def _triangles(corner: Float64, largest_jump: float) -> NDArray[np.intp]:
-    """Return the triangles of a grid of distances that tear nowhere: flat indices, (F, 3)."""
+def _triangles(corner: Float64, jump_at: Callable[[Float64], Any]) -> NDArray[np.intp]:
+    """Return the triangles of a grid of values that tear nowhere: flat indices, (F, 3).
+
+    Where the smallest value of a triangle is v, its values may be `jump_at(v)` apart.
+    """
     index = np.arange(corner.size).reshape(corner.shape)
     above, below = index[:-1], index[1:]
     upper = np.stack([above[:, :-1], below[:, :-1], above[:, 1:]], axis=-1)
     lower = np.stack([above[:, 1:], below[:, :-1], below[:, 1:]], axis=-1)
     triangles = np.concatenate([upper.reshape(-1, 3), lower.reshape(-1, 3)])
-    distances = corner.ravel()[triangles]
-    triangles = triangles[np.isfinite(distances).all(axis=1)]
-    distances = corner.ravel()[triangles]
-    nearest = distances.min(axis=1)
-    return triangles[distances.max(axis=1) - nearest <= largest_jump * nearest]
+    values = corner.ravel()[triangles]
+    triangles = triangles[np.isfinite(values).all(axis=1)]
+    values = corner.ravel()[triangles]
+    smallest = values.min(axis=1)
+    return triangles[values.max(axis=1) - smallest <= jump_at(smallest)]
 
 
 def _heights(corner: Float64, height: float) -> Float64:
@@ -169,15 +272,3 @@ def _heights(corner: Float64, height: float) -> Float64:
     if span == 0:
         return np.zeros(corner.shape)
     return height * (far - np.clip(corner, near - span, far + span)) / span
-
-
-def _colors(
-    image: ArrayLike, shape: tuple[int, ...], intensity_range: tuple[float, float] | None
-) -> Float32:
-    """Return the colours of a picture, (H, W, 3) in [0, 1]."""
-    picture = prepare_image(image, intensity_range)
-    if picture.shape != shape:
-        raise ValueError(
-            f"image has height and width {picture.shape}; it takes the depth's, {shape}"
-        )
-    return np.broadcast_to(np.clip(picture.color, 0, 1), (*shape, 3))

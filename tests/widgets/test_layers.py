@@ -14,7 +14,13 @@ from napari_defocus.widgets.result_layers import (
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.results import METADATA_KEY, made_by_us, show_results
+from napari_defocus.widgets.results import (
+    BLUR_MAP,
+    METADATA_KEY,
+    layer_of_result,
+    made_by_us,
+    show_results,
+)
 
 PLACED = {
     "scale": (0.5, 0.25),
@@ -118,11 +124,24 @@ def test_confidence_and_what_is_not_trusted_lie_on_the_picture(viewer, texture):
     assert cover.metadata[METADATA_KEY]["min_confidence"] == 0.25
     color = cover.colormap.map(np.array([0, 1]))
     assert color[0, 3] == 0
-    assert np.ptp(color[1, :3]) == 0
-    assert color[1, 0] < 0.3
+    assert np.ptp(color[1, :3]) == 0, "grey"
     again = not_trusted_layer(confidence.as_layer_data_tuple(), 0.5)
     assert show_results(viewer, [again]) == [cover]
     np.testing.assert_array_equal(cover.data, values < 0.5)
+
+
+def test_map_is_read_through_what_covers_it_and_no_other_blur_is_read(viewer, texture):
+    plane = plane_of(viewer.add_image(texture), viewer)
+    blur_map, _ = show_results(viewer, results_of(plane))
+    result = confidence_layer(plane, texture, MapSettings(), 3e-5)
+    [cover] = show_results(viewer, [not_trusted_layer(result, 0.5)])
+    blur = blur_map.colormap.map(np.linspace(0, 1, 81))[:, :3]
+    veil = cover.colormap.map(np.array([1]))[0, :3]
+    seen = (1 - cover.opacity) * blur + cover.opacity * veil
+    away = np.linalg.norm(seen[:, None] - blur, axis=2)
+    assert away.min() > 0.2, "no colour of the map"
+    steps = np.linalg.norm(seen[10:] - seen[:-10], axis=1)
+    assert steps.min() > 0.04, "1 px more or less is seen"
 
 
 def test_results_are_no_pictures_to_analyse(viewer, texture):
@@ -174,6 +193,70 @@ def test_layer_of_somebody_else_is_never_overwritten(viewer, texture):
     show_results(viewer, results_of(plane))
     assert theirs.data.shape == (5, 5)
     assert len(viewer.layers) == 4
+
+
+def test_somebody_elses_layer_leads_to_one_new_layer_and_not_to_one_a_run(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    viewer.add_image(np.zeros((5, 5)), name="leaf blur (px)")
+    first, second = (show_results(viewer, results_of(plane)) for _ in range(2))
+    assert first == second
+    assert first[0].name == "leaf blur (px) 2"
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def test_earlier_results_stay_beside_the_new_ones_if_that_is_wanted(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    for radius in (1, 2, 3):
+        show_results(viewer, results_of(plane, radius=radius), keep_earlier=True)
+    assert names(viewer) == [
+        "leaf",
+        *("leaf blur (px)", "leaf in focus"),
+        *("leaf blur (px) 2", "leaf in focus 2"),
+        *("leaf blur (px) 3", "leaf in focus 3"),
+    ]
+    for name, radius in (("", 1), (" 2", 2), (" 3", 3)):
+        assert (viewer.layers[f"leaf blur (px){name}"].data == radius).all()
+
+
+def test_what_one_run_has_made_has_one_number(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    blur_map, mask = results_of(plane)
+    show_results(viewer, [blur_map], keep_earlier=True)
+    show_results(viewer, [blur_map, mask], keep_earlier=True)
+    assert names(viewer) == ["leaf", "leaf blur (px)", "leaf blur (px) 2", "leaf in focus 2"]
+
+
+def test_next_run_updates_the_newest_of_several_results(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    old, _ = show_results(viewer, results_of(plane, radius=1))
+    new, _ = show_results(viewer, results_of(plane, radius=2), keep_earlier=True)
+    viewer.layers.move(viewer.layers.index(new), 0)
+    updated, _ = show_results(viewer, results_of(plane, radius=3))
+    assert updated is new
+    assert (new.name, float(new.data.max())) == ("leaf blur (px) 2", 3)
+    assert (old.name, float(old.data.max())) == ("leaf blur (px)", 1)
+
+
+@pytest.mark.parametrize("renamed", [False, True])
+def test_newest_result_is_found_wherever_it_stands_and_whatever_its_name(viewer, texture, renamed):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    show_results(viewer, results_of(plane))
+    new, _ = show_results(viewer, results_of(plane), keep_earlier=True)
+    viewer.layers.move(viewer.layers.index(new), 0)
+    if renamed:
+        new.name = "the best one"
+    assert layer_of_result(viewer.layers, BLUR_MAP, "leaf") is new
+
+
+def test_duplicate_of_a_result_is_not_taken_for_a_newer_one(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    blur_map, _ = show_results(viewer, results_of(plane))
+    data, keywords, kind = blur_map.as_layer_data_tuple()
+    viewer.add_layer(Image.create(data, {**keywords, "name": "leaf blur (px) copy"}, kind))
+    assert layer_of_result(viewer.layers, BLUR_MAP, "leaf") is blur_map
 
 
 @pytest.mark.parametrize(

@@ -168,3 +168,16 @@ def test_lens_that_cannot_be_is_refused_before_any_work(viewer, leaf):
         LayerSource(plane=plane_of(leaf, viewer), psf="none.npz")
     with pytest.raises(ValueError, match="no such file"):
         EstimatedSource(settings=MapSettings(psf="none.npz"))
+
+
+def test_each_of_several_maps_has_its_own_confidence(viewer, leaf):
+    first, _ = results_on(leaf, viewer, confidence=0.7, smoothness=20.0)
+    plane, made = plane_of(leaf, viewer), MapSettings(smoothness=30.0)
+    values = np.full(plane.shape, 0.4, np.float32)
+    second, _ = show_results(
+        viewer,
+        [blur_map_layer(plane, values, made, 3e-5), confidence_layer(plane, values, made, 3e-5)],
+        keep_earlier=True,
+    )
+    for layer, sure in ((first, 0.7), (second, 0.4)):
+        assert read(source(layer, leaf, viewer), leaf, viewer).confidence[0, 0] == np.float32(sure)

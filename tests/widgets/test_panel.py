@@ -12,6 +12,7 @@ from napari_defocus.widgets.blur_map import BlurMapWidget
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.in_focus import InFocusWidget
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.results import show_results
 
 pytestmark = pytest.mark.display
 
@@ -127,6 +128,23 @@ def test_hiding_what_is_not_trusted_does_not_estimate_again(
     assert tuple(cover.scale) == (2, 3)
     assert len(method.estimations) == len(method.labelings) == 1
     assert len(viewer.layers) == 4
+
+
+def test_cover_is_of_the_newest_of_several_results(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    widget = opened(BlurMapWidget)
+    widget.settings.min_confidence.value = 0.25
+    finish(widget)
+    cover, sure = viewer.layers["leaf not trusted"], viewer.layers["leaf confidence"]
+    data, keywords, kind = sure.as_layer_data_tuple()
+    keywords["name"] = "leaf confidence"
+    show_results(viewer, [(1 - data, keywords, kind)], keep_earlier=True)
+    for limit in (0.25, 0.5):
+        widget.settings.min_confidence.value = limit
+        widget.settings.min_confidence.changed.emit(limit)
+        np.testing.assert_array_equal(cover.data, 1 - data < limit)
+    np.testing.assert_array_equal(sure.data, data)
+    assert names(viewer)[-1] == "leaf confidence 2"
 
 
 def test_nothing_is_covered_unless_it_is_asked_for(viewer, opened, finish, method, texture):

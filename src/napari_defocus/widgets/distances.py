@@ -133,7 +133,7 @@ class Distances:
         from napari_defocus import depth_surface
 
         surface = depth_surface(depth, picture.image, intensity_range=picture.span)
-        vertices, faces, colors = _above(surface, self.plane)
+        vertices, faces, colors = above(surface, self.plane)
         keywords = {
             "name": f"{self.plane.name} depth surface",
             "vertex_colors": colors,
@@ -141,7 +141,7 @@ class Distances:
             "metadata": self._made(
                 DEPTH_SURFACE, blur_map, height="a relief towards the camera, no scale model"
             ),
-            **_upright(self.plane),
+            **upright(self.plane),
         }
         return LayerDataTuple(((vertices, faces), keywords, "surface"))
 
@@ -189,9 +189,7 @@ def _axes(plane: Plane) -> tuple[int, int, int]:
     return height, rows, columns
 
 
-def _above(
-    surface: DepthSurface, plane: Plane
-) -> tuple[Float32, NDArray[np.int32], Float32 | None]:
+def above(surface: DepthSurface, plane: Plane) -> tuple[Float32, NDArray[np.int32], Float32 | None]:
     """Return the corners, triangles and colours of a surface that lies above a plane.
 
     It begins a pixel above: seen from above in 2-D, at the height of the plane, nothing of it
@@ -207,7 +205,7 @@ def _above(
     return corners, surface.faces + 1, colors
 
 
-def _upright(plane: Plane) -> dict[str, Any]:
+def upright(plane: Plane) -> dict[str, Any]:
     """Return where a surface on a plane lies: pixels of height are as long as the plane's."""
     placed = plane.placement
     in_layer = CompositeAffine(

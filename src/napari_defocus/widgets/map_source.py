@@ -5,6 +5,7 @@ No Qt, any thread.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -25,8 +26,10 @@ from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
     METADATA_KEY,
-    layer_of_result,
     made_by_us,
+    results_of,
+    run_of,
+    same_estimation,
 )
 
 if TYPE_CHECKING:
@@ -236,7 +239,7 @@ def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -
         plane=found,
         psf=made.psf if made else psf,
         max_radius=made.max_radius if made else MapSettings.max_radius,
-        confidence=_confidence_of(layer, found, viewer),
+        confidence=confidence_of(layer, found, viewer),
         made_with=made,
     )
 
@@ -269,19 +272,16 @@ def _same_part(found: Plane, plane: Plane) -> Plane:
     return found.at(same_part(found.index, found.data.shape, plane))
 
 
-def _confidence_of(layer: Image, found: Plane, viewer: ViewerModel) -> Plane | None:
+def confidence_of(layer: Image, found: Plane, viewer: ViewerModel) -> Plane | None:
     """Return the plane with the confidence of a map, if both come from the same estimation."""
     made = layer.metadata.get(METADATA_KEY, {}) if made_by_us(layer) else {}
     if "source" not in made:
         return None
-    confidence = layer_of_result(viewer.layers, CONFIDENCE, made["source"])
-    if confidence is None:
-        return None
-    told = confidence.metadata[METADATA_KEY]
-    if any(told.get(key) != made.get(key) for key in ("settings", "noise_variance")):
-        return None
-    try:
-        plane = _same_part(shown_plane(confidence, viewer.dims), found)
-    except NotAnalysableError:
-        return None
-    return plane if plane.shape == found.shape else None
+    results = results_of(viewer.layers, CONFIDENCE, made["source"])
+    for confidence in sorted(results, key=lambda result: run_of(result) != run_of(layer)):
+        if same_estimation(confidence, layer):
+            with suppress(NotAnalysableError):
+                plane = _same_part(shown_plane(confidence, viewer.dims), found)
+                if plane.shape == found.shape:
+                    return plane
+    return None

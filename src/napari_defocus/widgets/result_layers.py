@@ -33,8 +33,12 @@ MASK_COLOR = (0.1, 0.9, 0.6, 1.0)
 MASK_OPACITY = 0.4
 CONFIDENCE_COLOR_MAP = "gray"
 KERNEL_COLOR_MAP = "magma"
-NOT_TRUSTED_COLOR = (0.15, 0.15, 0.15, 1.0)
-NOT_TRUSTED_OPACITY = 0.85
+NOT_TRUSTED_COLOR = (0.8, 0.8, 0.8, 1.0)
+NOT_TRUSTED_OPACITY = 0.6
+"""A veil, no lid: the map is read through it, and what is seen is no colour of the map.
+
+A dark one is seen on yellow, but hardly on the purple of what is in focus.
+"""
 
 OUTSIDE = (
     "outside of the shapes nothing is in focus and the confidence is 0; the map there is an "
@@ -158,6 +162,8 @@ def described_region(plane: Plane) -> dict[str, Any]:
 
 def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> LayerDataTuple:
     """Return what lies below a confidence as a labels layer: 1 there, 0 elsewhere.
+
+    It lies over the map like fog: what the map says there can still be read.
 
     Parameters
     ----------

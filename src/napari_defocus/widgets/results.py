@@ -3,8 +3,10 @@
 No Qt here, as in `layers`.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,9 @@ from napari_defocus.widgets.layers import Plane
 METADATA_KEY = "napari_defocus"
 """Where a result layer's metadata say how it was made."""
 
+RUN = "run"
+"""Which run has made a result, in its metadata: the larger the number, the newer."""
+
 BLUR_MAP = "blur map"
 CONFIDENCE = "confidence"
 NOT_TRUSTED = "not trusted"
@@ -29,6 +34,7 @@ ALL_IN_FOCUS = "all in focus"
 REFOCUSED = "refocused"
 DEPTH = "depth"
 DEPTH_SURFACE = "depth surface"
+RELIEF = "relief"
 
 _WITH_COLOR_BAR = (BLUR_MAP, CONFIDENCE, DEPTH)
 
@@ -80,34 +86,78 @@ def made_by_us(layer: Layer) -> str | None:
     return made.get("result") if isinstance(made, dict) else None
 
 
+def results_of(layers: LayerList, result: str, source: str) -> list[Layer]:
+    """Return the layers that hold a result of the layer named `source`, the newest first."""
+    found = [
+        layer
+        for layer in layers
+        if made_by_us(layer) == result and layer.metadata[METADATA_KEY].get("source") == source
+    ]
+    return _newest_first(found)
+
+
 def layer_of_result(layers: LayerList, result: str, source: str) -> Layer | None:
-    """Return the layer that holds a result of the layer named `source`, if there is one."""
-    for layer in layers:
-        if made_by_us(layer) == result and layer.metadata[METADATA_KEY].get("source") == source:
-            return layer
-    return None
+    """Return the newest layer that holds a result of the layer named `source`, if there is one."""
+    return next(iter(results_of(layers, result, source)), None)
 
 
-def show_results(viewer: ViewerModel, results: list[LayerDataTuple]) -> list[Layer]:
-    """Put results into a viewer; those of an earlier run on the same layer are updated.
+def same_estimation(layer: Layer, other: Layer) -> bool:
+    """Tell whether two results of ours say that the same settings and noise have made them."""
+    told, others = (found.metadata[METADATA_KEY] for found in (layer, other))
+    return all(told.get(key) == others.get(key) for key in ("settings", "noise_variance"))
+
+
+def run_of(layer: Layer) -> int:
+    """Return the number of the call of `show_results` that has shown a result last: 1, 2, ...
+
+    It is 0 if the layer does not say it.
+    """
+    made = layer.metadata.get(METADATA_KEY)
+    run = made.get(RUN, 0) if isinstance(made, dict) else 0
+    return run if isinstance(run, int) else 0
+
+
+def show_results(
+    viewer: ViewerModel, results: list[LayerDataTuple], *, keep_earlier: bool = False
+) -> list[Layer]:
+    """Put results into a viewer; those of an earlier run on the same layer are updated or kept.
+
+    From then on the viewer tells the blur under the cursor, see `cursor_text`.
 
     Parameters
     ----------
     viewer : napari.components.ViewerModel or napari.Viewer
     results : list of LayerDataTuple
         From `result_layers` and other modules that make them.
+    keep_earlier : bool, optional
+        If true, earlier results stay as they are, and all new ones get the same number after
+        their names: "leaf blur (px) 2", "leaf confidence 2".
 
     Returns
     -------
     list of napari.layers.Layer
         The layers that hold the results now. An updated layer keeps the colours, the
         opacity and the visibility that its user gave it, and the contrast limits, too, if
-        their range is the same.
+        their range is the same. Of several earlier results the newest is updated.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from napari.components import ViewerModel
+    >>> viewer = ViewerModel()
+    >>> made = {"napari_defocus": {"result": "blur map", "source": "leaf"}}
+    >>> result = np.ones((9, 9)), {"name": "leaf blur (px)", "metadata": made}, "image"
+    >>> for keep in (False, False, True):
+    ...     layers = show_results(viewer, [result], keep_earlier=keep)
+    >>> [layer.name for layer in viewer.layers]
+    ['leaf blur (px)', 'leaf blur (px) 2']
     """
-    return list(dict.fromkeys(showing_results(viewer, results)))
+    return list(dict.fromkeys(showing_results(viewer, results, keep_earlier=keep_earlier)))
 
 
-def showing_results(viewer: ViewerModel, results: list[LayerDataTuple]) -> Iterator[Layer]:
+def showing_results(
+    viewer: ViewerModel, results: list[LayerDataTuple], *, keep_earlier: bool = False
+) -> Iterator[Layer]:
     """Do the work of `show_results` in small steps, for a window that must not stop.
 
     Yields
@@ -115,8 +165,45 @@ def showing_results(viewer: ViewerModel, results: list[LayerDataTuple]) -> Itera
     napari.layers.Layer
         After each step, the layer that it was about.
     """
+    # cursor_text reads results, so it comes after this file.
+    from napari_defocus.widgets.cursor_text import tell_under_cursor
+
+    run = 1 + max(map(run_of, viewer.layers), default=0)
+    results = [_of_run(result, run) for result in results]
+    if keep_earlier:
+        results = _with_free_names(viewer.layers, results)
     for result in results:
         yield from _showing(viewer, *result)
+    tell_under_cursor(viewer)
+
+
+def _of_run(result: LayerDataTuple, run: int) -> LayerDataTuple:
+    data, keywords, kind = result
+    made = {**keywords["metadata"][METADATA_KEY], RUN: run}
+    metadata = {**keywords["metadata"], METADATA_KEY: made}
+    return LayerDataTuple((data, {**keywords, "metadata": metadata}, kind))
+
+
+def _with_free_names(layers: LayerList, results: list[LayerDataTuple]) -> list[LayerDataTuple]:
+    """Return results whose names no layer has: all with the same number, or all with none."""
+    taken = {layer.name for layer in layers}
+    numbered = (
+        [_numbered(keywords["name"], number) for _, keywords, _ in results] for number in count(1)
+    )
+    names = next(names for names in numbered if taken.isdisjoint(names))
+    return [
+        LayerDataTuple((data, {**keywords, "name": name}, kind))
+        for name, (data, keywords, kind) in zip(names, results, strict=True)
+    ]
+
+
+def _numbered(name: str, number: int) -> str:
+    return name if number == 1 else f"{name} {number}"
+
+
+def _newest_first(layers: list[Layer]) -> list[Layer]:
+    # A duplicate stands behind what it was made from: of the same run, the first counts.
+    return sorted(layers, key=run_of, reverse=True)
 
 
 def _showing(
@@ -127,8 +214,9 @@ def _showing(
         viewer.layers.remove(layer)
         layer = None
     if layer is None:
-        layer = viewer.add_layer(Layer.create(data, keywords, kind))
-        if keywords["metadata"][METADATA_KEY]["result"] in _WITH_COLOR_BAR:
+        [free] = _with_free_names(viewer.layers, [LayerDataTuple((data, keywords, kind))])
+        layer = viewer.add_layer(Layer.create(*free))
+        if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
             layer.colorbar.visible = True
         yield layer
@@ -180,9 +268,11 @@ def _alike(now: NDArray[Any], data: NDArray[Any]) -> bool:
 
 
 def _earlier_result(layers: LayerList, keywords: dict[str, Any]) -> Layer | None:
-    """Find the layer of that name, unless it is somebody else's work."""
-    made = keywords["metadata"][METADATA_KEY]
-    for layer in layers:
-        if layer.name == keywords["name"] and made_by_us(layer) == made["result"]:
-            return layer
-    return None
+    """Find the newest layer of that name, with any number, unless it is somebody else's work."""
+    made, name = keywords["metadata"][METADATA_KEY], re.escape(keywords["name"])
+    found = [
+        layer
+        for layer in layers
+        if made_by_us(layer) == made["result"] and re.fullmatch(rf"{name}( \d+)?", layer.name)
+    ]
+    return next(iter(_newest_first(found)), None)
