@@ -22,7 +22,6 @@ from napari_defocus.widgets.layers import shown_plane
 from napari_defocus.widgets.probe import INTERVAL, ProbeWidget
 from napari_defocus.widgets.probing import (
     NothingKnownError,
-    WindowOutline,
     corners_of,
     image_of,
     image_to_probe,
@@ -32,6 +31,7 @@ from napari_defocus.widgets.probing import (
 )
 from napari_defocus.widgets.result_layers import blur_map_layer
 from napari_defocus.widgets.results import show_results
+from napari_defocus.widgets.window_outline import WindowOutline
 
 SIDE = 120
 TURNED = {"scale": (0.5, 0.5), "rotate": 30, "translate": (7, -3), "units": ("um", "um")}
