@@ -146,6 +146,14 @@ def test_layer_that_is_gone_in_the_meantime_does_not_stop_the_way_back(viewer, l
     assert not confidence.visible
 
 
+def test_viewer_is_emptied_while_a_relief_is_shown(viewer, leaf):
+    results_on(leaf, viewer)
+    show_relief(viewer, leaf)
+    viewer.layers.clear()
+    assert viewer.dims.ndisplay == 2
+    assert not hide_relief(viewer)
+
+
 def test_more_exaggeration_is_higher_under_the_same_camera(viewer, leaf):
     results_on(leaf, viewer)
     before = state(viewer)

@@ -2,12 +2,11 @@
 
 import math
 import weakref
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from napari.components import ViewerModel
-from napari.layers import Image, Layer, Surface
+from napari.layers import Image, Surface
 from numpy.typing import NDArray
 
 from napari_defocus.psf import check_number
@@ -18,6 +17,7 @@ from napari_defocus.widgets.estimation import Picture
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, shown_plane
 from napari_defocus.widgets.map_source import confidence_of
 from napari_defocus.widgets.results import BLUR_MAP, DEPTH, RELIEF, layer_of_result, provenance
+from napari_defocus.widgets.way_back import View, WayBack, show_alone, way_back
 
 HeightsFrom = Literal["blur", "depth"]
 
@@ -105,15 +105,15 @@ def show_relief(
         raise ValueError(f"heights is {heights!r}; it takes one of {get_args(HeightsFrom)}")
     # Plugins are lent proxies; the viewer and the layer themselves are what live and die.
     viewer, image_layer = (getattr(lent, "__wrapped__", lent) for lent in (viewer, image_layer))
-    earlier = _way_back(viewer)
+    earlier = way_back(viewer)
     view = earlier.view_of(image_layer) if earlier is not None else None
     hide_relief(viewer)
     plane = shown_plane(image_layer, viewer.dims)
     relief = _relief_of(plane, viewer, float(exaggeration), heights, min_confidence)
-    way_back = _WayBack(viewer, image_layer)
-    way_back.relief = weakref.ref(viewer.add_layer(relief))
+    back = WayBack(viewer, image_layer)
+    back.relief = weakref.ref(viewer.add_layer(relief))
     _look_at(viewer, relief, view)
-    way_back.wait()
+    back.wait()
     return relief
 
 
@@ -124,10 +124,10 @@ def hide_relief(viewer: ViewerModel) -> bool:
     ----------
     viewer : napari.components.ViewerModel or napari.Viewer
     """
-    way_back = _way_back(viewer)
-    if way_back is None:
+    back = way_back(viewer)
+    if back is None:
         return False
-    way_back.take()
+    back.take()
     return True
 
 
@@ -204,146 +204,12 @@ def _places(surface: DepthSurface, shape: tuple[int, int]) -> NDArray[np.float32
     return np.concatenate([places[:1], places]).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class _View:
-    """How a camera looks."""
-
-    center: tuple[float, ...]
-    zoom: float
-    angles: tuple[float, float, float]
-
-    @classmethod
-    def of(cls, viewer: ViewerModel) -> "_View":
-        camera = viewer.scene.camera
-        return cls(tuple(camera.center), float(camera.zoom), tuple(camera.angles))
-
-    def restore(self, viewer: ViewerModel) -> None:
-        camera = viewer.scene.camera
-        camera.angles, camera.center, camera.zoom = self.angles, self.center, self.zoom
-
-
-def _look_at(viewer: ViewerModel, relief: Surface, view: _View | None) -> None:
+def _look_at(viewer: ViewerModel, relief: Surface, view: View | None) -> None:
     """Show the relief alone and in 3-D, as it was seen before or from where it is seen well."""
-    _show_alone(viewer, relief)
+    show_alone(viewer, relief)
     viewer.dims.ndisplay = 3
     if view is not None:
         view.restore(viewer)
         return
     viewer.scene.camera.set_view_direction(_LOOKING, up_direction=(0, -1, 0))
     viewer.fit_to_view(layers=[relief])
-
-
-class _WayBack:
-    """What a viewer showed before a relief, and when it is to show it again.
-
-    It is a callback of the viewer, for as long as the relief is there, and lives no longer.
-
-    Parameters
-    ----------
-    viewer : napari.components.ViewerModel
-    image_layer : napari.layers.Image
-        Whose relief will be shown.
-
-    Attributes
-    ----------
-    relief : weak reference to napari.layers.Surface
-    """
-
-    relief: weakref.ref[Surface]
-
-    def __init__(self, viewer: ViewerModel, image_layer: Image) -> None:
-        self._viewer = weakref.ref(viewer)
-        self._image = weakref.ref(image_layer)
-        self._visible = _visible(viewer)
-        active = viewer.layers.selection.active
-        self._active = None if active is None else weakref.ref(active)
-        self._flat = self._deep = _View.of(viewer)
-        self._ndisplay = viewer.dims.ndisplay
-        self._axes = viewer.dims.order, viewer.dims.point
-
-    def view_of(self, image_layer: Image) -> _View | None:
-        """Return how the relief is looked at, if it is of that picture."""
-        viewer = self._viewer()
-        if viewer is None or self._image() is not image_layer:
-            return None
-        return _View.of(viewer) if viewer.dims.ndisplay == 3 else self._deep
-
-    def wait(self) -> None:
-        """Go back when the relief is removed; between 2-D and 3-D, show what is seen there."""
-        viewer = self._viewer()
-        if viewer is not None:
-            viewer.layers.events.removed.connect(self)
-            viewer.dims.events.ndisplay.connect(self)
-
-    def __call__(self, event: Any) -> None:
-        viewer, relief = self._viewer(), self.relief()
-        if viewer is None:
-            return
-        if relief is None or relief not in viewer.layers:
-            self.take()
-        elif event.type == "ndisplay" and viewer.dims.ndisplay == 2:
-            # napari is still busy with its axes: removing a layer now would break its sliders.
-            self._deep = _View.of(viewer)
-            self._show_visible(viewer)
-            self._go_to_plane(viewer)
-        elif event.type == "ndisplay":
-            self._visible, self._flat = _visible(viewer), _View.of(viewer)
-            self._axes = viewer.dims.order, viewer.dims.point
-            _show_alone(viewer, relief)
-            self._deep.restore(viewer)
-
-    def take(self) -> None:
-        """Go back, and take the relief away."""
-        viewer, relief = self._viewer(), self.relief()
-        if viewer is None:
-            return
-        viewer.layers.events.removed.disconnect(self)
-        viewer.dims.events.ndisplay.disconnect(self)
-        was_shown, view = viewer.dims.ndisplay == 3, _View.of(viewer)
-        if not was_shown:
-            self._axes = viewer.dims.order, viewer.dims.point
-        if relief in viewer.layers:
-            viewer.layers.remove(relief)
-        if was_shown:
-            viewer.dims.ndisplay = self._ndisplay
-            self._show_visible(viewer)
-        else:
-            # napari fits its view to the axes that are left.
-            view.restore(viewer)
-        self._go_to_plane(viewer)
-        active = self._active and self._active()
-        if active in viewer.layers:
-            viewer.layers.selection.active = active
-
-    def _show_visible(self, viewer: ViewerModel) -> None:
-        """Show what was visible, as it was looked at."""
-        relief = self.relief()
-        if relief is not None:
-            relief.visible = False
-        for reference in self._visible:
-            layer = reference()
-            if layer is not None:
-                layer.visible = True
-        self._flat.restore(viewer)
-
-    def _go_to_plane(self, viewer: ViewerModel) -> None:
-        """Go to the plane that was shown: napari has followed the camera with its sliders."""
-        order, point = self._axes
-        # The relief of a picture has one axis more, and without its layer a stack has fewer.
-        if viewer.dims.ndim == len(order):
-            viewer.dims.order, viewer.dims.point = order, point
-
-
-def _visible(viewer: ViewerModel) -> list[weakref.ref[Layer]]:
-    return [weakref.ref(layer) for layer in viewer.layers if layer.visible]
-
-
-def _show_alone(viewer: ViewerModel, relief: Surface) -> None:
-    for layer in viewer.layers:
-        layer.visible = layer is relief
-
-
-def _way_back(viewer: ViewerModel) -> _WayBack | None:
-    """Return the way back from the relief that a viewer shows; None if it shows none."""
-    waiting: list[Layer] = viewer.layers.events.removed.callbacks
-    return next((callback for callback in waiting if isinstance(callback, _WayBack)), None)
