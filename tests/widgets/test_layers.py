@@ -419,3 +419,71 @@ def test_plane_is_current_until_its_layer_goes_or_gets_other_data(viewer, textur
     plane = plane_of(layer, viewer)
     viewer.layers.remove(layer)
     assert not plane.is_current(viewer.layers)
+
+
+def test_results_of_a_part_of_a_plane_lie_where_the_part_does(viewer, texture):
+    picture = viewer.add_image(texture, name="leaf", **PLACED)
+    part = plane_of(picture, viewer).part(slice(10, 40), slice(20, 80))
+    assert part.is_part
+    assert (part.shape, part.whole_shape) == ((30, 60), texture.shape)
+    np.testing.assert_array_equal(part.read(), texture[10:40, 20:80])
+    for layer in show_results(viewer, results_of(part)):
+        assert layer.data.shape == (30, 60)
+        np.testing.assert_allclose(layer.data_to_world((0, 0)), picture.data_to_world((10, 20)))
+        np.testing.assert_allclose(layer.data_to_world((29, 59)), picture.data_to_world((39, 79)))
+        region = layer.metadata[METADATA_KEY]["region"]
+        assert (region["rows"], region["columns"]) == ([10, 40], [20, 80])
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])
+def test_part_of_a_plane_of_a_stack_keeps_its_place_when_the_plane_moves(viewer, order):
+    stack = np.random.default_rng(0).random((20, 32, 48))
+    rotate = 30 if order[0] == 0 else 0
+    layer = viewer.add_image(
+        stack, scale=(5, 0.5, 0.25), translate=(10, 1, 2), rotate=(0, 0, rotate)
+    )
+    viewer.dims.order = order
+    index = [slice(None)] * 3
+    index[order[0]] = 3
+    part = layers.plane_at(layer, tuple(index)).part(slice(4, 14), slice(8, 18))
+    moved = tuple(7 if isinstance(at, int) else at for at in part.index)
+    [blur_map, _] = results_of(part.at(moved))
+    [layer_of_map] = show_results(viewer, [blur_map])
+    np.testing.assert_array_equal(part.at(moved).read(), stack[moved])
+    assert layer_of_map.data.ndim == 3
+    np.testing.assert_allclose(
+        layer_of_map.data_to_world((0, 0, 0)), layer.data_to_world(layers.corner(moved))
+    )
+    assert part.at(moved) != part
+    assert part.at(moved).at(part.index) == part
+
+
+def test_parts_are_the_same_plane_only_with_the_same_pixels_that_count(viewer, texture):
+    plane = plane_of(viewer.add_image(texture), viewer)
+    inside = np.eye(30, dtype=bool)
+    parts = [
+        plane,
+        plane.part(slice(0, 30), slice(0, 30)),
+        plane.part(slice(1, 31), slice(0, 30)),
+        plane.part(slice(0, 30), slice(0, 30), inside=inside),
+        plane.part(slice(0, 30), slice(0, 30), inside=~inside),
+    ]
+    assert [[a == b for b in parts] for a in parts] == np.eye(5, dtype=bool).tolist()
+    assert parts[3] == plane.part(slice(0, 30), slice(0, 30), inside=inside.copy())
+
+
+def test_part_of_a_plane_that_is_too_large_is_analysed_and_only_it_is_computed(viewer, monkeypatch):
+    monkeypatch.setattr(layers, "MAX_PIXELS", 1_000_000)
+    computed = []
+
+    def chunk(block_info):
+        computed.append(tuple(block_info[None]["chunk-location"]))
+        return np.ones((100, 100), np.uint8)
+
+    lazy = da.map_blocks(chunk, chunks=((100,) * 20, (100,) * 10), dtype=np.uint8)
+    plane = plane_of(viewer.add_image(lazy, contrast_limits=(0, 1)), viewer)
+    computed.clear()
+    assert plane.part(slice(310, 390), slice(180, 220)).read().shape == (80, 40)
+    assert set(computed) == {(3, 1), (3, 2)}
+    with pytest.raises(NotAnalysableError, match="2 million pixels"):
+        plane.read()

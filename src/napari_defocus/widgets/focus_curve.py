@@ -50,6 +50,7 @@ class FocusCurveWidget(RunPanel):
         self.curve: FocusCurve | None = None
         self._again = False
         self._followed: list[Layer] = []
+        self._soon = QTimer(self.native)
         self.form = CurveForm(
             napari_viewer, read=lambda: self._soon.start(), draw=lambda: self._draw()
         )
@@ -68,7 +69,6 @@ class FocusCurveWidget(RunPanel):
         self._finish_form([*fields, self.best_button, self.save_button])
         self.plot = CurvePlot(napari_viewer.theme)
         self.native.layout().insertWidget(len(fields), self.plot, 1)
-        self._soon = QTimer(self.native)
         self._wire()
 
     def _wire(self) -> None:

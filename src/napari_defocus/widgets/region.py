@@ -233,8 +233,6 @@ def _checked(rows: slice, columns: slice, what: str) -> tuple[slice, slice]:
 
 def _inside(outlines: list[Points], rows: slice, columns: slice) -> NDArray[np.bool_] | None:
     """Return which pixels of a part lie in any of the outlines; None if all do."""
-    from skimage.draw import polygon
-
     shape = rows.stop - rows.start, columns.stop - columns.start
     inside = np.zeros(shape, bool)
     for outline in outlines:
@@ -242,10 +240,27 @@ def _inside(outlines: list[Points], rows: slice, columns: slice) -> NDArray[np.b
         if _is_upright_box(corners):
             inside[_box(corners, shape)] = True
         else:
-            inside[polygon(*corners.T, shape=shape)] = True
+            inside |= _filled(corners, shape)
     if not inside.any():
         raise NotAnalysableError("the shape is too small: it encloses no pixel of the picture.")
     return None if inside.all() else inside
+
+
+def _filled(corners: Points, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return which pixels have their centre within a polygon, by the even-odd rule.
+
+    Row by row, so that an outline of thousands of corners takes no longer; scikit-image asks
+    every pixel about every corner.
+    """
+    height, width = shape
+    crossed = np.zeros((height, width + 1), bool)
+    for (y0, x0), (y1, x1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        first, stop = np.clip(np.ceil(sorted((y0, y1))), 0, height).astype(int)
+        rows = np.arange(first, stop)
+        if rows.size:
+            columns = np.ceil(x0 + (rows - y0) * (x1 - x0) / (y1 - y0))
+            crossed[rows, np.clip(columns, 0, width).astype(int)] ^= True
+    return np.logical_xor.accumulate(crossed, axis=1)[:, :-1]
 
 
 def _is_upright_box(corners: Points) -> bool:
