@@ -30,7 +30,7 @@ from napari_defocus.widgets.estimation import (
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.results import METADATA_KEY, prepare_napari
+from napari_defocus.widgets.results import METADATA_KEY
 from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:
@@ -86,7 +86,6 @@ class Analysis:
             Called with `preview` of a large picture as soon as there is one.
         """
         progress("Reading the picture", 0.0)
-        prepare_napari()
         picture = Picture.of(self.plane)
         estimating = within(progress, 0.0, ESTIMATION_SHARE)
         analysed = analysed_picture(picture, self.estimation, kept, estimating)

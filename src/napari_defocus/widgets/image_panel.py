@@ -1,6 +1,8 @@
 """What the widgets that work on one image layer share: choose it, ask, show what was made."""
 
+import threading
 from collections.abc import Callable
+from functools import cache
 from typing import Any, ClassVar, TypeVar
 
 from magicgui.widgets import ComboBox
@@ -10,10 +12,16 @@ from napari.utils.notifications import show_info, show_warning
 
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, shown_plane
-from napari_defocus.widgets.results import MEASURED_PSF, METADATA_KEY, made_by_us
+from napari_defocus.widgets.results import MEASURED_PSF, METADATA_KEY, made_by_us, prepare_napari
 from napari_defocus.widgets.run_panel import RunPanel
 
 T = TypeVar("T")
+
+
+@cache
+def prepare() -> None:
+    """Load what the first run needs while its user looks at the form."""
+    threading.Thread(target=prepare_napari, daemon=True).start()
 
 
 class ImagePanel(RunPanel):
@@ -44,6 +52,7 @@ class ImagePanel(RunPanel):
             choices=self._images,
             tooltip="The image layer to analyse. Of a stack, the plane that is shown.",
         )
+        prepare()
 
     def _images(self, _: Any) -> list[Image]:
         return [

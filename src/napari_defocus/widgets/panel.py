@@ -220,8 +220,8 @@ class DefocusPanel(ImagePanel):
         self, results: list[LayerDataTuple], analysed: Analysed, analysis: Analysis, whole: bool
     ) -> None:
         if not self._closed and analysed.picture.plane.is_current(self._viewer.layers):
-            for _ in self._showing(results, analysed, analysis, whole=whole):
-                pass
+            steps = self._showing(results, analysed, analysis, whole=whole)
+            self._go_through(steps, lambda: None)
 
     def run(self) -> Run | None:
         """Start the analysis, and return it; None if there is nothing to analyse.

@@ -3,6 +3,7 @@
 No Qt here, as in `layers`.
 """
 
+import gc
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -234,8 +235,12 @@ def _showing(
 
 
 def prepare_napari() -> None:
-    """Have napari load what layers need: in the thread that makes results, not in the window's."""
+    """Load what layers and their labels need: better before work begins than amidst it."""
+    import napari_defocus.candidates  # noqa: F401
+
     Labels(np.zeros((2, 2), np.uint8), features={"index": [0, 1]})
+    # Python would look through all that is new here later, when the window is in use.
+    gc.collect()
 
 
 def _is(now: Any, wanted: Any) -> bool:

@@ -122,7 +122,8 @@ class RunPanel(Container[Widget]):
 
     def _on_progressed(self, step: str, done: float) -> None:
         if not self._closed:
-            self.progress_bar.value = round(STEPS * done)
+            # Its `value` would let Qt handle all events here and now.
+            self.progress_bar.native.setValue(round(STEPS * done))
             self.status.value = step
 
     def _on_returned(self, run: Run, take: Callable[[Any], Any], value: Any) -> None:

@@ -16,6 +16,9 @@ from napari_defocus.progress import Cancelled
 REPORT_INTERVAL = 0.05
 """Seconds between two reports of one step that reach the main thread."""
 
+BAR_INTERVAL = 0.25
+"""Seconds between two that reach napari's activity list, which draws the window each time."""
+
 STEPS = 100
 
 _running: set["Run"] = set()
@@ -93,6 +96,8 @@ class Run(QObject):
         self._function = partial(function, preview=self._made.emit) if previews else function
         self._description = description
         self.bar: _ProgressBar | None = None
+        self._is_told = False
+        self._told = -BAR_INTERVAL
         self._holds = 0
         self._has_ended = False
         self._last_report = ("", 0.0)
@@ -156,10 +161,14 @@ class Run(QObject):
         if self.is_cancelled:
             return
         self.progressed.emit(step, done)
-        if self.bar is not None:
-            self.bar.set_description(step)
-            # The bar lets Qt handle events: the run may have ended within either call.
-            self.bar.update(round(STEPS * done) - self.bar.n)
+        now = time.monotonic()
+        if self.bar is None or self._is_told or now - self._told < BAR_INTERVAL:
+            return
+        # The bar lets Qt handle events: the next report may come within either call, or the end.
+        self._is_told, self._told = True, now
+        self.bar.set_description(step)
+        self.bar.update(round(STEPS * done) - self.bar.n)
+        self._is_told = False
 
     def _on_made(self, value: object) -> None:
         if not self.is_cancelled:
