@@ -30,6 +30,11 @@ def pytest_runtest_setup(item):
 
 @pytest.fixture(autouse=True)
 def _nothing_kept(request, monkeypatch):
+    """Start without what other tests have found, and without the developer's Preferences."""
+    from napari_defocus.widgets import preferences
+
+    if "plugin_settings" not in request.fixturenames:
+        monkeypatch.setattr(preferences, "_said", dict)
     if request.node.get_closest_marker("display") is None:
         return
     from napari_defocus.widgets.image_panel import ImagePanel

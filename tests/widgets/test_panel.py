@@ -26,9 +26,12 @@ def names(viewer):
 @pytest.mark.parametrize(
     ("widget_class", "made"),
     [
-        (BlurMapWidget, ["leaf blur (px)", "leaf confidence"]),
+        (BlurMapWidget, ["leaf blur (px)", "leaf confidence", "leaf not trusted"]),
         (InFocusWidget, ["leaf in focus"]),
-        (MapAndMaskWidget, ["leaf blur (px)", "leaf confidence", "leaf in focus"]),
+        (
+            MapAndMaskWidget,
+            ["leaf blur (px)", "leaf confidence", "leaf in focus", "leaf not trusted"],
+        ),
     ],
 )
 def test_widget_makes_its_layers(window, docked, finish, method, texture, widget_class, made):
@@ -147,9 +150,12 @@ def test_cover_is_of_the_newest_of_several_results(viewer, opened, finish, metho
     assert names(viewer)[-1] == "leaf confidence 2"
 
 
-def test_nothing_is_covered_unless_it_is_asked_for(viewer, opened, finish, method, texture):
+def test_nothing_is_covered_if_it_is_not_wanted(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    finish(opened(BlurMapWidget))
+    widget = opened(BlurMapWidget)
+    assert widget.settings.min_confidence.value == 0.5
+    widget.settings.min_confidence.value = 0.0
+    finish(widget)
     assert "leaf not trusted" not in names(viewer)
 
 
@@ -435,7 +441,7 @@ def test_defect_of_the_method_is_reported_once_and_the_widget_goes_on(
         finish(widget)
     assert messages() == ["a defect"]
     finish(widget)
-    assert names(viewer) == ["leaf", "leaf blur (px)", "leaf confidence"]
+    assert names(viewer) == ["leaf", "leaf blur (px)", "leaf confidence", "leaf not trusted"]
 
 
 def test_active_image_is_chosen_and_results_are_not_offered(

@@ -7,13 +7,12 @@ from napari.layers import Labels
 import napari_defocus
 from napari_defocus import Cancelled, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets import stack_analysis
 from napari_defocus.widgets.analysis import Analysis
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
 from napari_defocus.widgets.map_source import source_of_layer
 from napari_defocus.widgets.region import plane_in, region_of
-from napari_defocus.widgets.results import METADATA_KEY, show_results
+from napari_defocus.widgets.results import METADATA_KEY, PLANES, show_results
 from napari_defocus.widgets.seeds import add_seeds_layer
 from napari_defocus.widgets.stack_analysis import StackAnalysis
 
@@ -273,4 +272,4 @@ def test_focal_sweep_has_its_radii_plane_by_plane(viewer, gravel):
     np.testing.assert_allclose(np.median(blur_map, axis=(1, 2)), radii, atol=0.4)
     assert (mask.mean(axis=(1, 2)) > 0.5).tolist() == [False, True, False]
     assert np.median(confidence) > 0.5
-    assert stack_analysis.PLANES in found.layers[0][1]["metadata"][METADATA_KEY]
+    assert PLANES in found.layers[0][1]["metadata"][METADATA_KEY]

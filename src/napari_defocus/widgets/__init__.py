@@ -11,6 +11,7 @@ _HOME_OF = {
     "BlurMapWidget": "blur_map",
     "CalibrateWidget": "calibrate",
     "ChangeFocusWidget": "change_focus",
+    "DefocusWidget": "defocus",
     "DepthWidget": "depth",
     "FocusCurveWidget": "focus_curve",
     "InFocusWidget": "in_focus",

@@ -170,7 +170,8 @@ class Analysis:
         assert self.mask is not None
         used = self.mask, self.estimation, analysed.candidates.noise_variance
         seeds = self.seeds.name if self.seeds else None
-        return in_focus_layer(self.plane, self.plane.counted(mask), *used, seeds)
+        counted = self.plane.counted(mask)
+        return in_focus_layer(self.plane, counted, *used, seeds, outlined=self.blur_map)
 
 
 @dataclass(frozen=True, kw_only=True)

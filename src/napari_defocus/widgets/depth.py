@@ -40,7 +40,7 @@ class DepthWidget(FromMapPanel):
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
         try:
-            size = None if self.image.value is None else self._shown_plane().shape
+            size = None if self.image.value is None else self._shown_plane().whole_shape
         except NotAnalysableError:
             size = None
         try:

@@ -20,10 +20,10 @@ from napari_defocus.widgets.results import (
     CONFIDENCE,
     IN_FOCUS,
     METADATA_KEY,
+    PLANES,
     layer_of_result,
     made_by_us,
 )
-from napari_defocus.widgets.stack_analysis import PLANES
 
 if TYPE_CHECKING:
     from napari_defocus import FocusCurve

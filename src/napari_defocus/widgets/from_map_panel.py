@@ -83,7 +83,13 @@ class FromMapPanel(ImagePanel):
     def _map_fields(self) -> list[Widget]:
         """Return the fields that say what is worked on and where its map comes from."""
         settings = self.settings
-        return [self.image, self.blur_map, *settings.lens.fields(), settings.max_radius]
+        return [
+            self.image,
+            self.region,
+            self.blur_map,
+            *settings.lens.fields(),
+            settings.max_radius,
+        ]
 
     def _finish_form(self, fields: list[Widget]) -> None:
         super()._finish_form(fields)

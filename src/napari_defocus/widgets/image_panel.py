@@ -12,6 +12,7 @@ from napari.utils.notifications import show_info, show_warning
 
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, shown_plane
+from napari_defocus.widgets.region_field import RegionField
 from napari_defocus.widgets.results import MEASURED_PSF, METADATA_KEY, made_by_us, prepare_napari
 from napari_defocus.widgets.run_panel import RunPanel
 
@@ -38,6 +39,8 @@ class ImagePanel(RunPanel):
     ----------
     image : magicgui.widgets.ComboBox
         The image layer.
+    region : RegionField
+        What part of it.
     kept : KeptWork
         Shared by all widgets: the mask reuses what the map has found.
     """
@@ -52,6 +55,7 @@ class ImagePanel(RunPanel):
             choices=self._images,
             tooltip="The image layer to analyse. Of a stack, the plane that is shown.",
         )
+        self.region = RegionField(napari_viewer)
         prepare()
 
     def _images(self, _: Any) -> list[Image]:
@@ -72,7 +76,7 @@ class ImagePanel(RunPanel):
         return measured[-1].metadata[METADATA_KEY]["file"] if measured else ""
 
     def _shown_plane(self) -> Plane:
-        return shown_plane(self.image.value, self._viewer.dims)
+        return self.region.part_of(shown_plane(self.image.value, self._viewer.dims))
 
     def _asked_for(self, work: Callable[[], T]) -> T | None:
         """Return what `work` reads from the form; None, with a warning, if it cannot be done."""

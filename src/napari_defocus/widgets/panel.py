@@ -18,12 +18,15 @@ from napari_defocus.widgets.estimation import Analysed
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.live import LiveLabels
+from napari_defocus.widgets.planes_field import PlanesField
+from napari_defocus.widgets.preferences import preferred_display, preferred_settings
 from napari_defocus.widgets.result_layers import not_trusted_layer
 from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
     METADATA_KEY,
     NOT_TRUSTED,
+    Results,
     layer_of_result,
     made_by_us,
     show_results,
@@ -38,6 +41,7 @@ from napari_defocus.widgets.seeds import (
 )
 from napari_defocus.widgets.settings_form import SettingsForm
 from napari_defocus.widgets.shown_labels import ShownLabels
+from napari_defocus.widgets.stack_analysis import StackAnalysis
 from napari_defocus.widgets.workers import Run
 
 LONGEST_NAME = 22
@@ -62,12 +66,16 @@ class DefocusPanel(ImagePanel):
     ----------
     settings : SettingsForm
         The fields below the image.
+    planes : PlanesField
+        Of a stack, the one that is shown or all.
     seeds : magicgui.widgets.ComboBox
         The labels layer that the mask keeps to, or none.
     seeds_button : magicgui.widgets.PushButton
         Makes a new one.
     live : magicgui.widgets.CheckBox
         Whether map and mask follow the sliders and the seeds.
+    keep_earlier : magicgui.widgets.CheckBox
+        Whether the results of earlier runs stay.
     compare_button, comparison, best_button : magicgui widgets
         Start a comparison of lenses, show it, and take the best of it.
     """
@@ -80,6 +88,8 @@ class DefocusPanel(ImagePanel):
         self._mask = mask
         self._best = ""
         self._shown = ShownLabels()
+        self.planes = PlanesField()
+        display = preferred_display()
         self._rough: set[Layer] = set()
         self.settings = SettingsForm(
             blur_map=blur_map, mask=mask, last_measured=self._last_measured
@@ -107,19 +117,31 @@ class DefocusPanel(ImagePanel):
         self.live = CheckBox(
             name="live",
             text="follow the sliders",
-            value=True,
+            value=display.live,
             tooltip="Once the picture is measured, label it again whenever a slider or the seeds "
             "change: a rough map and mask at once, the fine ones when the slider rests.",
+        )
+        self.keep_earlier = CheckBox(
+            name="keep_earlier",
+            text="keep earlier results",
+            value=display.keep_earlier,
+            tooltip="Put the results of a run beside those of earlier ones, with a number in their "
+            "names, instead of updating these.",
         )
         self.comparison = Label(name="comparison", label=" ", value="")
         self.best_button = PushButton(name="take_best", text="Take the best")
         self._finish_form(self._fields())
+        preferred = preferred_settings()
+        self.settings.take(preferred.map, preferred.mask)
+        self.settings.min_confidence.value = display.min_confidence if blur_map else 0.0
         self._wire()
 
     def _fields(self) -> list[Widget]:
         settings = self.settings
         return [
             self.image,
+            self.region,
+            self.planes,
             *settings.lens.fields(),
             self.compare_button,
             self.comparison,
@@ -129,6 +151,7 @@ class DefocusPanel(ImagePanel):
             self.live,
             settings.more,
             *settings.more_fields(),
+            self.keep_earlier,
         ]
 
     def _wire(self) -> None:
@@ -175,6 +198,17 @@ class DefocusPanel(ImagePanel):
             confidence=self.settings.confidence.value,
         )
 
+    def stack_analysis(self) -> StackAnalysis:
+        """Return what the form asks for of all planes, see `analysis`."""
+        return StackAnalysis(
+            plane=self._shown_plane(),
+            estimation=self.settings.map_settings(),
+            mask=self.settings.mask_settings(),
+            seeds=self.seeds.value if self._mask else None,
+            blur_map=self._blur_map,
+            confidence=self.settings.confidence.value,
+        )
+
     def _chosen_seeds(self, plane: Plane) -> Seeds | None:
         if not self._mask or self.seeds.value is None:
             return None
@@ -202,6 +236,8 @@ class DefocusPanel(ImagePanel):
         """
         if not self.live.value or self._running is not None or self.image.value is None:
             return
+        if self.planes.all_planes:
+            return  # that is worth a press on the button
         try:
             analysis = self.analysis()
         except ValueError:
@@ -224,24 +260,50 @@ class DefocusPanel(ImagePanel):
             self._go_through(steps, lambda: None)
 
     def run(self) -> Run | None:
-        """Start the analysis, and return it; None if there is nothing to analyse.
+        """Start the analysis that the form asks for, and return it; None if it cannot be done.
 
         The results are in the viewer when the run's `finished` signal comes. While one runs,
         that one is returned.
         """
         if self._running is not None:
             return self._running
+        if self.planes.all_planes:
+            return self._run_stack()
         analysis = self._asked_for(self.analysis)
         if analysis is None:
             return None
         self._live_labels.stop()
+        keep = [self.keep_earlier.value]  # until there is something of this run
+
+        def take(results: list[LayerDataTuple], whole: bool) -> Iterator[Layer]:
+            return self._show_results(results, analysis, whole, bool(keep and keep.pop()))
+
         return self._start(
             partial(analysis.run, self.kept),
-            lambda results: self._show_results(results, analysis),
+            lambda results: take(results, whole=True),
             [analysis.plane],
             f"Defocus of {analysis.plane.name}",
-            take_preview=lambda results: self._show_results(results, analysis, whole=False),
+            take_preview=lambda results: take(results, whole=False),
         )
+
+    def _run_stack(self) -> Run | None:
+        analysis = self._asked_for(self.stack_analysis)
+        if analysis is None:
+            return None
+        self._live_labels.stop()
+        keep = self.keep_earlier.value
+        return self._start(
+            partial(analysis.run, self.kept),
+            lambda results: self._show_stack(results, keep),
+            [analysis.plane],
+            f"Defocus of all planes of {analysis.plane.name}",
+        )
+
+    def _show_stack(self, results: Results, keep_earlier: bool) -> Iterator[Layer]:
+        if self._still_current():
+            yield from self._showing_below_brush(results.layers, keep_earlier)
+            self._on_min_confidence(self.settings.min_confidence.value)
+            self.status.value = results.summary
 
     def compare(self) -> Run | None:
         """Start a comparison of lenses on the chosen image, and return it, like `run`."""
@@ -284,13 +346,14 @@ class DefocusPanel(ImagePanel):
         super()._on_closed()
 
     def _show_results(
-        self, results: list[LayerDataTuple], analysis: Analysis, whole: bool = True
+        self, results: list[LayerDataTuple], analysis: Analysis, whole: bool, keep_earlier: bool
     ) -> Iterator[Layer]:
         analysed = self.kept.analysed.latest(self.image.value)
         if analysed is None or not self._still_current():
             return
         before = set(self._viewer.layers)
-        for layer in self._showing(results, analysed, analysis, whole=whole):
+        steps = self._showing(results, analysed, analysis, whole=whole, keep_earlier=keep_earlier)
+        for layer in steps:
             if not whole and layer not in before:
                 self._rough.add(layer)
             yield layer
@@ -305,19 +368,22 @@ class DefocusPanel(ImagePanel):
         analysis: Analysis,
         *,
         whole: bool,
+        keep_earlier: bool = False,
     ) -> Iterator[Layer]:
         """Show results step by step; a preview of them has no confidence and is no last word."""
-        yield from self._showing_below_brush(results)
+        yield from self._showing_below_brush(results, keep_earlier)
         self._shown.note(analysed, analysis, whole=whole)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
             self.status.value = _summary(results)
 
-    def _showing_below_brush(self, results: list[LayerDataTuple]) -> Iterator[Layer]:
+    def _showing_below_brush(
+        self, results: list[LayerDataTuple], keep_earlier: bool
+    ) -> Iterator[Layer]:
         """Show results; whoever paints seeds goes on painting on their layer."""
         selection = self._viewer.layers.selection
         painted = selection.active
-        for layer in showing_results(self._viewer, results):
+        for layer in showing_results(self._viewer, results, keep_earlier=keep_earlier):
             # Other widgets hide the map that they make on the way.
             layer.visible |= made_by_us(layer) == BLUR_MAP
             yield layer

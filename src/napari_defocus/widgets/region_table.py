@@ -4,6 +4,7 @@ napari shows the row under the cursor, and all rows in its own features table. N
 `layers`.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from napari.types import LayerDataTuple
 from napari.utils.notifications import show_info, show_warning
 from numpy.typing import NDArray
 
+from napari_defocus.progress import Progress, silent
 from napari_defocus.regions import RegionTable, measure_focus, measure_regions
 from napari_defocus.widgets.layers import (
     NotAnalysableError,
@@ -30,6 +32,8 @@ from napari_defocus.widgets.results import (
     provenance,
     show_results,
 )
+
+Measured = tuple[NDArray[np.int32], RegionTable, RegionTable]
 
 REGIONS = "regions"
 OPACITY = 0.5
@@ -58,6 +62,51 @@ def add_regions(viewer: ViewerModel, image: Image) -> Labels | None:
     napari.layers.Labels or None
         The layer of `regions_layer`; None, and a message, if there is no mask.
     """
+    wanted = wanted_regions(viewer, image)
+    return None if wanted is None else wanted.show(viewer, wanted.measured())
+
+
+@dataclass(frozen=True, eq=False)
+class WantedRegions:
+    """Regions that are wanted of a plane, see `add_regions`; measured in any thread.
+
+    Attributes
+    ----------
+    plane : Plane
+    mask_layer : napari.layers.Layer
+    mask : (H, W) ndarray
+    maps : dict
+        The blur map and the confidence by their names, None where there is none.
+    """
+
+    plane: Plane
+    mask_layer: Layer
+    mask: NDArray[Any]
+    maps: dict[str, Any]
+
+    def measured(self, progress: Progress = silent) -> Measured:
+        """Return the labels, the table of the regions, and that of the mask."""
+        progress("Measuring regions", 0.0)
+        measures = {"blur_map": self.maps[BLUR_MAP], "confidence": self.maps[CONFIDENCE]}
+        measures |= _pixels(self.plane)
+        return *measure_regions(self.mask, **measures), measure_focus(self.mask, **measures)
+
+    def show(self, viewer: ViewerModel, measured: Measured) -> Labels:
+        """Add what was measured to a viewer, or renew it, and tell of it."""
+        labels, table, of_mask = measured
+        if finest(self.mask_layer).size == self.mask.size:
+            self.mask_layer.features = dict(of_mask.columns)
+        made = regions_layer(self.plane, labels, table, self.mask_layer)
+        [layer] = show_results(viewer, [made])
+        # Those of an earlier run are not updated by `show_results`.
+        layer.features = dict(table.columns)
+        missing = _missing(self.plane.name, self.maps)
+        show_info(" ".join([_counted(table), TABLE_HINT, *missing]))
+        return layer
+
+
+def wanted_regions(viewer: ViewerModel, image: Image) -> WantedRegions | None:
+    """Return what `add_regions` measures; None, and a message, if there is no mask."""
     try:
         plane = shown_plane(image, viewer.dims)
     except NotAnalysableError as reason:
@@ -68,15 +117,7 @@ def add_regions(viewer: ViewerModel, image: Image) -> Labels | None:
         show_warning(NO_MASK.format(name=plane.name))
         return None
     maps = {name: _shown(viewer, plane, name)[1] for name in (BLUR_MAP, CONFIDENCE)}
-    measures = {"blur_map": maps[BLUR_MAP], "confidence": maps[CONFIDENCE], **_pixels(plane)}
-    labels, table = measure_regions(mask, **measures)
-    if finest(mask_layer).size == mask.size:
-        mask_layer.features = dict(measure_focus(mask, **measures).columns)
-    [layer] = show_results(viewer, [regions_layer(plane, labels, table, mask_layer)])
-    # Those of an earlier run are not updated by `show_results`.
-    layer.features = dict(table.columns)
-    show_info(" ".join([_counted(table), TABLE_HINT, *_missing(plane.name, maps)]))
-    return layer
+    return WantedRegions(plane, mask_layer, mask, maps)
 
 
 def regions_layer(

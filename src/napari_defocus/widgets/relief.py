@@ -2,6 +2,8 @@
 
 import math
 import weakref
+from collections.abc import Callable
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -99,22 +101,60 @@ def show_relief(
     >>> viewer.dims.ndisplay, image.visible
     (2, True)
     """
+    _check(exaggeration, heights, min_confidence)
+    viewer, image_layer = _themselves(viewer, image_layer)
+    earlier = way_back(viewer)
+    view = earlier.view_of(image_layer) if earlier is not None else None
+    hide_relief(viewer)
+    make = wanted_relief(
+        viewer, image_layer, exaggeration, heights=heights, min_confidence=min_confidence
+    )
+    return show_made_relief(viewer, image_layer, make(), view)
+
+
+def wanted_relief(
+    viewer: ViewerModel,
+    image_layer: Image,
+    exaggeration: float = 1.0,
+    *,
+    heights: HeightsFrom = "blur",
+    min_confidence: float = CONFIDENT,
+) -> Callable[[], Surface]:
+    """Return what makes the surface of `show_relief`, which see, in any thread."""
+    _check(exaggeration, heights, min_confidence)
+    viewer, image_layer = _themselves(viewer, image_layer)
+    plane = shown_plane(image_layer, viewer.dims)
+    layer, found = _map_of(plane, viewer, heights)
+    confidence = confidence_of(layer, found, viewer)
+    return partial(
+        _relief_of, plane, layer, found, confidence, float(exaggeration), heights, min_confidence
+    )
+
+
+def _check(exaggeration: float, heights: str, min_confidence: float) -> None:
     check_number("exaggeration", exaggeration, lambda e: 0 < e < math.inf, "a number above 0")
     check_confidence("min_confidence", min_confidence)
     if heights not in get_args(HeightsFrom):
         raise ValueError(f"heights is {heights!r}; it takes one of {get_args(HeightsFrom)}")
-    # Plugins are lent proxies; the viewer and the layer themselves are what live and die.
-    viewer, image_layer = (getattr(lent, "__wrapped__", lent) for lent in (viewer, image_layer))
-    earlier = way_back(viewer)
-    view = earlier.view_of(image_layer) if earlier is not None else None
+
+
+def show_made_relief(
+    viewer: ViewerModel, image_layer: Image, relief: Surface, view: View | None = None
+) -> Surface:
+    """Show the surface that `wanted_relief` has made, instead of everything else."""
+    viewer, image_layer = _themselves(viewer, image_layer)
     hide_relief(viewer)
-    plane = shown_plane(image_layer, viewer.dims)
-    relief = _relief_of(plane, viewer, float(exaggeration), heights, min_confidence)
     back = WayBack(viewer, image_layer)
     back.relief = weakref.ref(viewer.add_layer(relief))
     _look_at(viewer, relief, view)
     back.wait()
     return relief
+
+
+def _themselves(viewer: ViewerModel, layer: Image) -> tuple[ViewerModel, Image]:
+    # Plugins are lent proxies; the viewer and the layer themselves are what live and die.
+    viewer, layer = (getattr(lent, "__wrapped__", lent) for lent in (viewer, layer))
+    return viewer, layer
 
 
 def hide_relief(viewer: ViewerModel) -> bool:
@@ -132,10 +172,15 @@ def hide_relief(viewer: ViewerModel) -> bool:
 
 
 def _relief_of(
-    plane: Plane, viewer: ViewerModel, exaggeration: float, heights: str, min_confidence: float
+    plane: Plane,
+    layer: Image,
+    found: Plane,
+    confidence: Plane | None,
+    exaggeration: float,
+    heights: str,
+    min_confidence: float,
 ) -> Surface:
-    """Return the relief of a plane, not in the viewer yet."""
-    layer, found = _map_of(plane, viewer, heights)
+    """Return the relief of a plane, not in the viewer yet: any thread."""
     if heights == "blur":
         surface = blur_surface(
             found.values(), max_scale=_largest_scale(layer), relief=exaggeration * _RELIEF
@@ -143,7 +188,6 @@ def _relief_of(
     else:
         surface = depth_surface(found.values(), relief=exaggeration * _RELIEF)
     vertices, faces, _ = above(surface, plane)
-    confidence = confidence_of(layer, found, viewer)
     settings = {
         "heights": heights,
         "exaggeration": exaggeration,

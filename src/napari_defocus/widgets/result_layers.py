@@ -29,7 +29,8 @@ from napari_defocus.widgets.results import (
 )
 
 COLOR_MAP = "viridis"
-MASK_COLOR = (0.1, 0.9, 0.6, 1.0)
+MASK_COLOR = (1.0, 0.2, 0.8, 1.0)
+"""Far from all colours of the map, and from those of most pictures."""
 MASK_OPACITY = 0.4
 CONFIDENCE_COLOR_MAP = "gray"
 KERNEL_COLOR_MAP = "magma"
@@ -39,12 +40,6 @@ NOT_TRUSTED_OPACITY = 0.6
 
 A dark one is seen on yellow, but hardly on the purple of what is in focus.
 """
-
-OUTSIDE = (
-    "outside of the shapes nothing is in focus and the confidence is 0; the map there is an "
-    "estimate like any other"
-)
-"""What holds for the pixels of a part that do not count."""
 
 
 def blur_map_layer(
@@ -80,7 +75,7 @@ def blur_map_layer(
         "name": f"{plane.name} blur {what}(px)",
         "colormap": COLOR_MAP,
         "contrast_limits": (0.0, float(psf.max_scale)),
-        "metadata": _made_of(
+        "metadata": provenance(
             plane,
             BLUR_MAP,
             asdict(settings),
@@ -122,42 +117,12 @@ def confidence_layer(
         "colormap": CONFIDENCE_COLOR_MAP,
         "contrast_limits": (0.0, 1.0),
         "visible": False,
-        "metadata": _made_of(
+        "metadata": provenance(
             plane, CONFIDENCE, asdict(settings), noise_variance=float(noise_variance)
         ),
         **plane.placement,
     }
     return LayerDataTuple((plane.expanded(confidence), keywords, "image"))
-
-
-def _made_of(plane: Plane, result: str, settings: dict[str, Any], **more: Any) -> dict[str, Any]:
-    """Return the metadata of a result, and which part of the picture it is of, if not the whole."""
-    if plane.is_part:
-        more["region"] = described_region(plane)
-    return provenance(plane, result, settings, **more)
-
-
-def described_region(plane: Plane) -> dict[str, Any]:
-    """Return what metadata say about a part of a plane.
-
-    Parameters
-    ----------
-    plane : Plane
-
-    Returns
-    -------
-    dict
-        What chose it, where its rows and columns start and stop in px of the whole plane, and
-        what holds for the pixels that do not count.
-    """
-    rows, columns = (
-        list(cut.indices(length)[:2])
-        for cut, length in zip(plane.cuts, plane.whole_shape, strict=True)
-    )
-    told: dict[str, Any] = {"of": plane.region, "rows": rows, "columns": columns}
-    if plane.inside is not None:
-        told["outside"] = OUTSIDE
-    return told
 
 
 def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> LayerDataTuple:
@@ -198,6 +163,8 @@ def in_focus_layer(
     estimation: MapSettings,
     noise_variance: float,
     seeds: str | None = None,
+    *,
+    outlined: bool = False,
 ) -> LayerDataTuple:
     """Return an in-focus mask as a labels layer that lies on the plane.
 
@@ -215,6 +182,8 @@ def in_focus_layer(
         The variance that was used, found or given; intensities in [0, 1].
     seeds : str, optional
         Name of the layer of its seeds.
+    outlined : bool, optional
+        Show its outline instead of its area: it lies on a map.
 
     Returns
     -------
@@ -223,13 +192,14 @@ def in_focus_layer(
     keywords = {
         "name": f"{plane.name} in focus",
         "colormap": fixed_colors({1: MASK_COLOR}),
-        "opacity": MASK_OPACITY,
-        "metadata": _made_of(
+        "opacity": 1.0 if outlined else MASK_OPACITY,
+        "metadata": provenance(
             plane,
             IN_FOCUS,
             {**asdict(estimation), **asdict(settings)},
             noise_variance=float(noise_variance),
             seeds=seeds,
+            outlined=outlined,
         ),
         **plane.placement,
     }

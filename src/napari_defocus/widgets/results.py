@@ -39,6 +39,21 @@ RELIEF = "relief"
 
 _WITH_COLOR_BAR = (BLUR_MAP, CONFIDENCE, DEPTH)
 
+OUTSIDE = (
+    "outside of the shapes nothing is in focus and the confidence is 0; the map there is an "
+    "estimate like any other"
+)
+"""What holds for the pixels of a part that do not count."""
+
+OUTLINE = 3
+"""How wide the outline of a mask is, in px."""
+
+PLANES = "planes"
+"""Where a stack's metadata say which of its axes are its planes', and what each one had."""
+
+AT = "at"
+"""Where the metadata of a result say which plane of a stack it is of: a number an axis, or None."""
+
 PLACEMENT = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 """The keywords that say where a layer lies."""
 
@@ -77,8 +92,34 @@ def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any)
         "result": result,
         "source": plane.name,
         "settings": settings,
+        AT: [at if isinstance(at, int) else None for at in plane.index],
     }
+    if plane.is_part:
+        made["region"] = described_region(plane)
     return {METADATA_KEY: made | more}
+
+
+def described_region(plane: Plane) -> dict[str, Any]:
+    """Return what metadata say about a part of a plane.
+
+    Parameters
+    ----------
+    plane : Plane
+
+    Returns
+    -------
+    dict
+        What chose it, where its rows and columns start and stop in px of the whole plane, and
+        what holds for the pixels that do not count.
+    """
+    rows, columns = (
+        list(cut.indices(length)[:2])
+        for cut, length in zip(plane.cuts, plane.whole_shape, strict=True)
+    )
+    told: dict[str, Any] = {"of": plane.region, "rows": rows, "columns": columns}
+    if plane.inside is not None:
+        told["outside"] = OUTSIDE
+    return told
 
 
 def made_by_us(layer: Layer) -> str | None:
@@ -216,10 +257,17 @@ def _showing(
         layer = None
     if layer is None:
         [free] = _with_free_names(viewer.layers, [LayerDataTuple((data, keywords, kind))])
-        layer = viewer.add_layer(Layer.create(*free))
+        layer = Layer.create(*free)
+        if keywords["metadata"][METADATA_KEY].get("outlined"):
+            layer.contour = OUTLINE
+        layer = viewer.add_layer(layer)
         if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
             layer.colorbar.visible = True
+        yield layer
+        return
+    if _is_plane_of(layer, data, keywords):
+        _set_plane(layer, data, keywords)
         yield layer
         return
     _set_data(layer, data, keywords)
@@ -250,6 +298,27 @@ def _is(now: Any, wanted: Any) -> bool:
     if isinstance(wanted, tuple):
         return tuple(now) == wanted
     return bool(np.array_equal(now, wanted))
+
+
+def _is_plane_of(layer: Layer, data: Any, keywords: dict[str, Any]) -> bool:
+    """Tell whether a layer holds results of a whole stack, and these are those of one plane."""
+    at = keywords["metadata"][METADATA_KEY].get(AT, ())
+    if isinstance(layer, Surface) or PLANES not in layer.metadata[METADATA_KEY]:
+        return False
+    same = layer.data.ndim == data.ndim == len(at)
+    return same and all(
+        now == new if n is None else new == 1 and n < now
+        for now, new, n in zip(layer.data.shape, data.shape, at, strict=True)
+    )
+
+
+def _set_plane(layer: Layer, data: NDArray[Any], keywords: dict[str, Any]) -> None:
+    """Renew one plane of the results of a stack; the others stay."""
+    at = keywords["metadata"][METADATA_KEY][AT]
+    index = tuple(slice(None) if n is None else slice(n, n + 1) for n in at)
+    layer.data[index] = data
+    layer.refresh(extent=False)
+    layer.events.data()
 
 
 def _set_data(layer: Layer, data: Any, keywords: dict[str, Any]) -> None:

@@ -63,15 +63,8 @@ class RunPanel(Container[Widget]):
         self.cancel_button.clicked.connect(self.cancel)
         self.progress_bar.hide()
         wrap(self.status)
-        self._widen_labels()
+        widen_labels(self.native)
         self.native.destroyed.connect(lambda: self._on_closed())
-
-    def _widen_labels(self) -> None:
-        """Make room for the padding of napari's style, which magicgui does not measure."""
-        for row in self.native.findChildren(QWidget, options=Qt.FindDirectChildrenOnly):
-            label = row.layout().itemAt(0).widget() if row.layout() else None
-            if isinstance(label, QLabel):
-                label.setMinimumWidth(label.minimumWidth() + LABEL_PADDING)
 
     def run(self) -> Run | None:
         """Start the work, and return it; None if there is nothing to work on."""
@@ -115,7 +108,7 @@ class RunPanel(Container[Widget]):
     def _show_running(self, running: bool) -> None:
         self.run_button.enabled = not running
         self.cancel_button.enabled = running
-        self.progress_bar.value = 0
+        self.progress_bar.native.setValue(0)  # see `_on_progressed`
         self.progress_bar.visible = running
         if running:
             self.status.value = "Starting"
@@ -175,6 +168,14 @@ class RunPanel(Container[Widget]):
         """End the processes that wait for work, if no panel is open any more."""
         if not _open:
             end_idle()
+
+
+def widen_labels(form: QWidget) -> None:
+    """Make room for the padding of napari's style, which magicgui does not measure."""
+    for row in form.findChildren(QWidget, options=Qt.FindDirectChildrenOnly):
+        label = row.layout().itemAt(0).widget() if row.layout() else None
+        if isinstance(label, QLabel):
+            label.setMinimumWidth(label.minimumWidth() + LABEL_PADDING)
 
 
 def wrap(label: Label) -> None:

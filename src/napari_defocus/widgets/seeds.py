@@ -22,7 +22,7 @@ from napari_defocus.widgets.result_layers import MASK_COLOR, fixed_colors
 from napari_defocus.widgets.results import METADATA_KEY
 
 SEEDS = "seeds"
-BLURRED_COLOR = (1.0, 0.3, 0.1, 1.0)
+BLURRED_COLOR = (0.2, 0.75, 1.0, 1.0)
 OPACITY = 0.7
 BRUSH_SIZE = 10
 

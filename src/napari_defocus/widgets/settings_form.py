@@ -267,12 +267,12 @@ def _confidence_field() -> CheckBox:
 def _min_confidence_field() -> FloatSpinBox:
     return FloatSpinBox(
         name="min_confidence",
-        label="hide below confidence",
+        label="veil below confidence",
         value=0.0,
         min=0.0,
         max=1.0,
         step=0.05,
-        tooltip="Cover the pixels of the map that are less sure than this in dark grey, with a "
+        tooltip="Veil the pixels of the map that are less sure than this, with a "
         "labels layer that can be used as a mask. Changing it does not analyse again.",
     )
 

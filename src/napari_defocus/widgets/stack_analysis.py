@@ -22,15 +22,13 @@ from napari_defocus.widgets.results import (
     CONFIDENCE,
     IN_FOCUS,
     METADATA_KEY,
+    PLANES,
     Results,
 )
 from napari_defocus.widgets.seeds import seeds_of_plane
 
 MOST_BYTES = 8_000_000_000
 """Results that fill more are refused."""
-
-PLANES = "planes"
-"""Where a stack's metadata say which of its axes are its planes', and what each one had."""
 
 Position = tuple[int, ...]
 """Where a plane is along the axes that are not displayed."""

@@ -1,0 +1,187 @@
+"""The widget that leads from a picture to its map, its mask, and what is made of them."""
+
+from typing import Any
+
+from magicgui.widgets import PushButton, Widget
+from napari.components import ViewerModel
+from napari.layers import Image
+from napari.utils.notifications import show_warning
+
+from napari_defocus.widgets.depth_form import DepthForm
+from napari_defocus.widgets.layers import NotAnalysableError
+from napari_defocus.widgets.map_source import EstimatedSource
+from napari_defocus.widgets.pages import Pages
+from napari_defocus.widgets.panel import DefocusPanel
+from napari_defocus.widgets.restoration_form import RestorationForm
+from napari_defocus.widgets.restored import Restoration
+from napari_defocus.widgets.results import Results, showing_results
+from napari_defocus.widgets.tools import Tools
+from napari_defocus.widgets.workers import Run
+
+MAP, MASK, RESTORE, DEPTH, MORE = "Map", "In focus", "Restore", "Depth", "More"
+
+_FIRST_STEPS = "Choose an image and press “Measure”."
+
+
+class DefocusWidget(DefocusPanel):
+    """Measure the blur of a picture, correct what is in focus, take the blur away, tell distances.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer or napari.components.ViewerModel
+
+    Attributes
+    ----------
+    pages : Pages
+        What can be changed, and done with the map.
+    tools : Tools
+        What looks at the results, and what keeps them.
+    restoration : RestorationForm
+    depth : DepthForm
+    restore_button, depth_button : magicgui.widgets.PushButton
+    """
+
+    def __init__(self, napari_viewer: ViewerModel) -> None:
+        self.pages = Pages()
+        self.restoration = RestorationForm()
+        self.depth = DepthForm()
+        self.restore_button = PushButton(
+            name="restore",
+            text="Take the blur away",
+            tooltip="Add the picture without its blur, as far as the map is sure. A map that is "
+            "there already is used.",
+        )
+        self.depth_button = PushButton(
+            name="estimate_depth",
+            text="Estimate depth",
+            tooltip="Add the distances that the blur stands for, with the lens above.",
+        )
+        super().__init__(napari_viewer, blur_map=True, mask=True, action="Measure")
+
+    def _fields(self) -> list[Widget]:
+        return [self.image, self.region, self.planes]
+
+    def _finish_form(self, fields: list[Widget]) -> None:
+        super()._finish_form(fields)
+        self.run_button.tooltip = (
+            "Measure the blur: a map of it in px, how sure it is, and what is in focus."
+        )
+        settings = self.settings
+        self.tools = Tools(self)
+        self.pages.add(
+            MAP,
+            "How the blur is measured, and how smooth its map is",
+            [
+                *settings.lens.fields(),
+                *(self.compare_button, self.comparison, self.best_button),
+                *(settings.max_radius, settings.map_smoothness, settings.map_color_sigma),
+                *(settings.confidence, settings.min_confidence),
+            ],
+        )
+        self.pages.add(
+            MASK,
+            "What counts as in focus, and where you know better",
+            [
+                *(settings.threshold, settings.mask_smoothness, settings.mask_color_sigma),
+                *(self.seeds, self.seeds_button, self.tools.regions),
+            ],
+        )
+        self.pages.add(
+            RESTORE, "The picture without blur", [*self.restoration.fields(), self.restore_button]
+        )
+        self.pages.add(DEPTH, "From blur to distance", [*self.depth.fields(), self.depth_button])
+        self.pages.add(
+            MORE,
+            "What few people need",
+            [
+                *(settings.noise_variance, settings.shot_noise, settings.linear_light),
+                *(self.live, self.keep_earlier),
+                *(self.tools.load_settings, self.tools.save_settings),
+            ],
+        )
+        layout = self.native.layout()
+        layout.addWidget(self.pages.native)
+        layout.addWidget(self.tools.native)
+        layout.addStretch(1)
+        self.depth.wrap_note()
+        self.status.value = _FIRST_STEPS
+
+    def _wire(self) -> None:
+        super()._wire()
+        self.settings.show_more(True)
+        self.restore_button.clicked.connect(self.restore)
+        self.depth_button.clicked.connect(self.estimate_depth)
+        self.depth.thin_lens.read_button.clicked.connect(lambda _: self.read_lens())
+        self.image.changed.connect(lambda layer: self._on_image(layer))
+        self._on_image(self.image.value)
+
+    def _on_image(self, layer: Image | None) -> None:
+        self.depth.offer_file(layer)
+        self.planes.visible = layer is not None and layer.ndim > 2
+
+    def reset_choices(self, *_: Any) -> None:
+        """Look for the viewer's layers again, on all pages."""
+        super().reset_choices()
+        self.pages.reset_choices()
+        self.tools.refresh()
+
+    def add_seeds(self) -> Any:
+        """Add a layer for seeds, see `DefocusPanel.add_seeds`, and show what goes with it."""
+        self.pages.show(MASK)
+        return super().add_seeds()
+
+    def restore(self) -> Run | None:
+        """Start to take the blur away, and return the run; None if it cannot be done."""
+        return self._run_on(self._restoration)
+
+    def estimate_depth(self) -> Run | None:
+        """Start to tell distances, and return the run; None if it cannot be done."""
+        return self._run_on(
+            lambda: self.depth.distances(self._shown_plane(), self._estimated_source())
+        )
+
+    def read_lens(self) -> None:
+        """Fill in what the photograph's file notes about its lens."""
+        try:
+            size = None if self.image.value is None else self._shown_plane().whole_shape
+        except NotAnalysableError:
+            size = None
+        try:
+            self.status.value = self.depth.thin_lens.read(size)
+        except ValueError as reason:
+            show_warning(str(reason))
+
+    def _restoration(self) -> Restoration:
+        settings = self.settings
+        noise = None if settings.shot_noise.value else settings.given_noise_variance()
+        return Restoration(
+            plane=self._shown_plane(),
+            source=self._estimated_source(),
+            settings=self.restoration.settings(noise),
+            linearize="srgb" if settings.linear_light.value else None,
+            protect=self.restoration.protect.value,
+        )
+
+    def _estimated_source(self) -> EstimatedSource:
+        return EstimatedSource(settings=self.settings.map_settings())
+
+    def _run_on(self, asked: Any) -> Run | None:
+        if self._running is not None:
+            return self._running
+        work = self._asked_for(asked)
+        if work is None:
+            return None
+        self._live_labels.stop()
+        return self._start(
+            lambda progress: work.run(self.kept, progress),
+            self._showing_made,
+            [work.plane],
+            f"Defocus of {work.plane.name}",
+        )
+
+    def _showing_made(self, results: Results) -> Any:
+        if self._still_current():
+            yield from showing_results(
+                self._viewer, results.layers, keep_earlier=self.keep_earlier.value
+            )
+            self.status.value = results.summary

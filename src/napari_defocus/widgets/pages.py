@@ -1,0 +1,43 @@
+"""Fields on pages, behind tabs."""
+
+from magicgui.widgets import Container, Widget
+from qtpy.QtWidgets import QTabWidget, QWidget
+
+from napari_defocus.widgets.run_panel import widen_labels
+
+
+class Pages:
+    """Forms of which one is shown at a time.
+
+    Attributes
+    ----------
+    native : QTabWidget
+    """
+
+    def __init__(self) -> None:
+        self.native = QTabWidget()
+        self.native.setDocumentMode(True)
+        self._pages: list[Container[Widget]] = []
+
+    def add(self, title: str, tooltip: str, fields: list[Widget]) -> None:
+        """Add a page."""
+        page: Container[Widget] = Container()
+        # Only rows that come after the container's own making get labels of equal width.
+        page.extend(fields)
+        page.margins = (0, 6, 0, 6)
+        native: QWidget = page.native
+        widen_labels(native)
+        native.layout().addStretch(1)
+        number = self.native.addTab(native, title)
+        self.native.setTabToolTip(number, tooltip)
+        self._pages.append(page)
+
+    def show(self, title: str) -> None:
+        """Bring the page of a title to the front."""
+        titles = [self.native.tabText(number) for number in range(self.native.count())]
+        self.native.setCurrentIndex(titles.index(title))
+
+    def reset_choices(self) -> None:
+        """Look for choices again on all pages."""
+        for page in self._pages:
+            page.reset_choices()

@@ -1,0 +1,254 @@
+"""Buttons that look at the results of a panel, and that keep them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from magicgui.widgets import PushButton
+from napari.layers import Image
+from napari.utils.notifications import show_error, show_info, show_warning
+from qtpy.QtWidgets import QApplication, QFileDialog, QGridLayout, QWidget
+
+from napari_defocus import Settings
+from napari_defocus.settings import MaskSettings
+from napari_defocus.widgets.map_files import open_map, save_map
+from napari_defocus.widgets.region_table import wanted_regions
+from napari_defocus.widgets.relief import hide_relief, show_made_relief, wanted_relief
+from napari_defocus.widgets.results import BLUR_MAP, layer_of_result
+from napari_defocus.widgets.script import script_of
+from napari_defocus.widgets.way_back import way_back
+from napari_defocus.widgets.workers import Run
+
+if TYPE_CHECKING:
+    from napari_defocus.widgets.panel import DefocusPanel
+
+PROBE, FOCUS_CURVE, FEATURES = "Probe", "Focus curve", "Features table widget"
+
+_IN_3D, _IN_2D = "Show in 3-D", "Back to 2-D"
+
+
+class Tools:
+    """The buttons, each of which is a method of the same meaning.
+
+    Parameters
+    ----------
+    panel : DefocusPanel
+        Whose image and settings they work with.
+
+    Attributes
+    ----------
+    native : QWidget
+        Probe, 3-D, focus curve; map files and the script.
+    probe, relief, curve, save_map, open_map, script : magicgui.widgets.PushButton
+        Those in `native`.
+    regions, load_settings, save_settings : magicgui.widgets.PushButton
+        Those that belong elsewhere in the panel.
+    """
+
+    def __init__(self, panel: "DefocusPanel") -> None:
+        self._panel = panel
+        self._viewer = panel._viewer
+        self.probe = _button(
+            "Why here?",
+            "Open the probe: how likely each blur is at the place under the mouse, and what part "
+            "of the picture says so.",
+            self.open_probe,
+        )
+        self.relief = _button(
+            _IN_3D, "Show the picture as a relief of its blur, and go back again.", self.toggle_3d
+        )
+        self.curve = _button(
+            "Focus curve",
+            "For stacks that were measured as a whole: how much of each plane is in focus.",
+            self.open_focus_curve,
+        )
+        self.save_map = _button(
+            "Save map…", "Save the blur map as a TIFF in px, with what made it.", self.save_blur_map
+        )
+        self.open_map = _button(
+            "Open map…", "Open a blur map that was saved here or by the terminal.", self.open_saved
+        )
+        self.script = _button(
+            "Copy as Python",
+            "Put a script on the clipboard that gives the same map and mask without napari.",
+            self.copy_script,
+        )
+        self.regions = _button(
+            "Table of regions",
+            "Number the regions in focus, and measure each: area, blur, confidence.",
+            self.add_regions,
+        )
+        self.load_settings = _button(
+            "Load settings…", "Fill the form from a JSON file of settings.", self.load
+        )
+        self.save_settings = _button(
+            "Save settings…",
+            "Save the form as a JSON file, which the terminal reads too.",
+            self.save,
+        )
+        self.native = _grid(
+            [self.probe, self.relief, self.curve, self.script, self.save_map, self.open_map]
+        )
+
+    def refresh(self) -> None:
+        """Let the buttons say what they do now."""
+        self.relief.text = _IN_2D if way_back(self._viewer) is not None else _IN_3D
+        image = self._panel.image.value
+        self.curve.enabled = image is not None and image.ndim > 2
+
+    def open_probe(self) -> None:
+        """Open the probe of the chosen image beside the panel."""
+        from napari_defocus.widgets.probe import ProbeWidget
+
+        widget = self._opened(PROBE, ProbeWidget)
+        widget.set_image(self._panel.image.value)
+
+    def open_focus_curve(self) -> None:
+        """Open the curve of the stack that was measured."""
+        from napari_defocus.widgets.focus_curve import FocusCurveWidget
+
+        self._opened(FOCUS_CURVE, FocusCurveWidget)
+
+    def _opened(self, name: str, widget_class: Callable[..., Any]) -> Any:
+        """Return a widget of ours in a dock, which may be there already."""
+        window = getattr(self._viewer, "window", None)
+        if window is None:
+            return widget_class(self._viewer)
+        _, widget = window.add_plugin_dock_widget("napari-defocus", name)
+        return widget
+
+    def toggle_3d(self) -> Run | None:
+        """Show the picture as a relief, or what was seen before; return the run that makes it."""
+        if way_back(self._viewer) is not None:
+            hide_relief(self._viewer)
+            self.refresh()
+            return None
+        image = self._panel.image.value
+        make = self._panel._asked_for(lambda: wanted_relief(self._viewer, image))
+        if make is None:
+            return None
+
+        def show(surface: Any) -> None:
+            show_made_relief(self._viewer, image, surface)
+            self.refresh()
+
+        return self._quickly(lambda _: make(), show)
+
+    def add_regions(self) -> Run | None:
+        """Measure the regions in focus, and open their table; return the run that does."""
+        image = self._panel.image.value
+        if image is None:
+            show_warning("There is no image to measure. Open an image first.")
+            return None
+        wanted = wanted_regions(self._viewer, image)
+        if wanted is None:
+            return None
+
+        def show(measured: Any) -> None:
+            wanted.show(self._viewer, measured)
+            window = getattr(self._viewer, "window", None)
+            if window is not None:
+                window.add_plugin_dock_widget("napari", FEATURES)
+
+        return self._quickly(wanted.measured, show)
+
+    def copy_script(self) -> Run | None:
+        """Put a script that does what the form asks for on the clipboard; return the run."""
+        analysis = self._panel._asked_for(self._panel.analysis)
+        if analysis is None:
+            return None
+
+        def take(script: str) -> None:
+            QApplication.clipboard().setText(script)
+            show_info("A Python script that gives the same map and mask is on the clipboard.")
+
+        return self._quickly(lambda _: script_of(analysis), take)
+
+    def _quickly(self, work: Callable[..., Any], take: Callable[[Any], None]) -> Run | None:
+        """Start work that is done soon; nothing if something runs."""
+        panel = self._panel
+        if panel._running is not None:
+            show_info("Something runs already. Wait for it, or cancel it.")
+            return None
+        return panel._start(work, take, [panel._shown_plane()], "")
+
+    def save_blur_map(self, path: Path | None = None, *, force: bool = False) -> None:
+        """Save the newest blur map of the chosen image; a dialog asks for the file.
+
+        Parameters
+        ----------
+        path : Path, optional
+            Without, the dialog asks.
+        force : bool, optional
+            Whether a file that exists is replaced; the dialog asks that too.
+        """
+        image = self._panel.image.value
+        layer = image and layer_of_result(self._viewer.layers, BLUR_MAP, image.name)
+        if not isinstance(layer, Image):
+            show_warning("There is no blur map to save yet. Measure the picture first.")
+            return
+        if path is None:
+            path = self._asked_to_save(f"{image.name}-blur.tif", "Blur maps (*.tif *.tiff)")
+            force = True
+        if path is not None:
+            self._try(lambda: save_map(layer, path, force=force), f"Saved {path.name}")
+
+    def open_saved(self, path: Path | None = None) -> None:
+        """Open a saved blur map; without a path, a dialog asks for it."""
+        path = path or self._asked_to_open("Blur maps (*.tif *.tiff)")
+        if path is not None:
+            self._try(lambda: open_map(self._viewer, path), f"Opened {path.name}")
+
+    def save(self, path: Path | None = None, *, overwrite: bool = False) -> None:
+        """Save the form's settings, as `save_blur_map` saves the map."""
+        settings = self._panel._asked_for(self._settings)
+        if settings is None:
+            return
+        if path is None:
+            path, overwrite = self._asked_to_save("defocus.json", "Settings (*.json)"), True
+        if path is not None:
+            self._try(lambda: settings.save(path, overwrite=overwrite), f"Saved {path.name}")
+
+    def _settings(self) -> Settings:
+        form = self._panel.settings
+        return Settings(map=form.map_settings(), mask=form.mask_settings() or MaskSettings())
+
+    def load(self, path: Path | None = None) -> None:
+        """Fill the form with settings from a file; without a path, a dialog asks for it."""
+        path = path or self._asked_to_open("Settings (*.json)")
+        if path is not None:
+            self._try(lambda: self._take(Settings.load(path)), f"Settings of {path.name}")
+
+    def _take(self, settings: Settings) -> None:
+        self._panel.settings.take(settings.map, settings.mask)
+
+    def _try(self, work: Callable[[], Any], said: str) -> None:
+        try:
+            work()
+        except (OSError, ValueError, TypeError) as reason:
+            show_error(str(reason))
+        else:
+            self._panel.status.value = said
+
+    def _asked_to_save(self, suggested: str, kind: str) -> Path | None:
+        chosen, _ = QFileDialog.getSaveFileName(self._panel.native, "Save", suggested, kind)
+        return Path(chosen) if chosen else None
+
+    def _asked_to_open(self, kind: str) -> Path | None:
+        chosen, _ = QFileDialog.getOpenFileName(self._panel.native, "Open", "", kind)
+        return Path(chosen) if chosen else None
+
+
+def _button(text: str, tooltip: str, press: Callable[[], Any]) -> PushButton:
+    button = PushButton(text=text, tooltip=tooltip)
+    button.clicked.connect(lambda _: press())
+    return button
+
+
+def _grid(buttons: list[PushButton]) -> QWidget:
+    grid = QWidget()
+    layout = QGridLayout(grid)
+    layout.setContentsMargins(0, 0, 0, 0)
+    for place, button in enumerate(buttons):
+        layout.addWidget(button.native, *divmod(place, 2))
+    return grid
