@@ -52,7 +52,7 @@ def test_sharp_half_and_blurred_half_are_told_apart(viewer, run, qtbot, dtype):
     [
         ("Estimating blur", estimation.LARGE),
         ("Making the map coherent", estimation.LARGE),
-        ("Making the map coherent", 300_000),
+        ("Making the map coherent", 400_000),
     ],
 )
 def test_cancel_acts_within_a_second_in_every_step(viewer, run, qtbot, monkeypatch, step, large):

@@ -118,6 +118,7 @@ class DefocusWidget(DefocusPanel):
     def _on_image(self, layer: Image | None) -> None:
         self.depth.offer_file(layer)
         self.planes.visible = layer is not None and layer.ndim > 2
+        self.tools.refresh()
 
     def reset_choices(self, *_: Any) -> None:
         """Look for the viewer's layers again, on all pages."""

@@ -5,7 +5,7 @@ from typing import Any
 
 from magicgui.widgets import PushButton
 from napari.components import ViewerModel
-from napari.layers import Layer
+from napari.layers import Labels, Layer
 from napari.utils.notifications import show_error, show_warning
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
@@ -95,11 +95,13 @@ class FocusCurveWidget(RunPanel):
 
     def _follow(self, layers: list[Layer]) -> None:
         """Read again whenever one of these layers gets other data, and for no other layer."""
-        for layer in self._followed:
-            layer.events.data.disconnect(self._on_data)
+        for before in self._followed:
+            for event in _data_events(before):
+                event.disconnect(self._on_data)
         self._followed = layers
         for layer in layers:
-            layer.events.data.connect(self._on_data)
+            for event in _data_events(layer):
+                event.connect(self._on_data)
 
     def _on_data(self, _: Any = None) -> None:
         self._soon.start()
@@ -271,3 +273,9 @@ class FocusCurveWidget(RunPanel):
         self._viewer.dims.events.point.disconnect(self._on_dims)
         self._viewer.dims.events.order.disconnect(self._on_dims)
         self._viewer.events.theme.disconnect(self._on_theme)
+
+
+def _data_events(layer: Layer) -> list[Any]:
+    """Return the events of a layer that tell of other data, in place or not."""
+    painted = [layer.events.paint] if isinstance(layer, Labels) else []
+    return [layer.events.data, *painted]

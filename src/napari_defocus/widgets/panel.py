@@ -10,6 +10,7 @@ from napari.components import ViewerModel
 from napari.layers import Labels, Layer
 from napari.types import LayerDataTuple
 from napari.utils.notifications import show_warning
+from qtpy.QtCore import QTimer
 
 from napari_defocus import PSFEvidence
 from napari_defocus.settings import CONFIDENT
@@ -166,7 +167,8 @@ class DefocusPanel(ImagePanel):
         for field in self.settings.weights():
             field.number.changed.connect(lambda _: self.update_labels())
         self.live.changed.connect(lambda _: self.update_labels())
-        self._seeds_watch = SeedsWatch(self.update_labels)
+        # napari may tell of a stroke before it is on the layer.
+        self._seeds_watch = SeedsWatch(lambda: QTimer.singleShot(0, lambda: self._on_stroke()))
         self.seeds.changed.connect(lambda layer: self._on_seeds(layer))
         self._live_labels = LiveLabels(self.kept, self._show_live, self.native)
         self._choose_active()
@@ -228,6 +230,10 @@ class DefocusPanel(ImagePanel):
     def _on_seeds(self, layer: Labels | None) -> None:
         self._seeds_watch.watch(layer)
         self.update_labels()
+
+    def _on_stroke(self) -> None:
+        if not self._closed:
+            self.update_labels()
 
     def update_labels(self) -> None:
         """Label again what was measured, if the form asks for other labels than those shown.
@@ -385,7 +391,8 @@ class DefocusPanel(ImagePanel):
         painted = selection.active
         for layer in showing_results(self._viewer, results, keep_earlier=keep_earlier):
             # Other widgets hide the map that they make on the way.
-            layer.visible |= made_by_us(layer) == BLUR_MAP
+            if made_by_us(layer) == BLUR_MAP and not layer.visible:
+                layer.visible = True
             yield layer
         if painted is not None and painted == self.seeds.value:
             selection.active = painted

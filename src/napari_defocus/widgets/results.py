@@ -45,8 +45,8 @@ OUTSIDE = (
 )
 """What holds for the pixels of a part that do not count."""
 
-OUTLINE = 3
-"""How wide the outline of a mask is, in px."""
+OUTLINE = 1
+"""How wide the outline of a mask is inside of it, in px; a wider one takes napari long to draw."""
 
 PLANES = "planes"
 """Where a stack's metadata say which of its axes are its planes', and what each one had."""
@@ -317,8 +317,7 @@ def _set_plane(layer: Layer, data: NDArray[Any], keywords: dict[str, Any]) -> No
     at = keywords["metadata"][METADATA_KEY][AT]
     index = tuple(slice(None) if n is None else slice(n, n + 1) for n in at)
     layer.data[index] = data
-    layer.refresh(extent=False)
-    layer.events.data()
+    _tell_of_data(layer)
 
 
 def _set_data(layer: Layer, data: Any, keywords: dict[str, Any]) -> None:
@@ -331,10 +330,16 @@ def _set_data(layer: Layer, data: Any, keywords: dict[str, Any]) -> None:
         if not np.array_equal(layer.data, data, equal_nan=data.dtype.kind == "f"):
             # Other data of the same shape would make napari build the picture anew.
             layer.data[...] = data
-            layer.refresh(extent=False)
-            layer.events.data()
+            _tell_of_data(layer)
     else:
         layer.data = data
+
+
+def _tell_of_data(layer: Layer) -> None:
+    """Draw a layer whose data were changed in place, and tell whoever listens."""
+    layer.refresh(extent=False)
+    # At an event "data", napari would make the shaders of labels anew.
+    (layer.events.paint if isinstance(layer, Labels) else layer.events.data)(value=None)
 
 
 def _alike(now: NDArray[Any], data: NDArray[Any]) -> bool:

@@ -1,0 +1,297 @@
+"""The one dock that leads through everything."""
+
+import json
+import runpy
+
+import numpy as np
+import pytest
+from imageio.v3 import imwrite
+from magicgui.widgets import PushButton
+from napari.settings import get_plugin_settings
+from npe2 import PluginManifest
+from qtpy.QtWidgets import QApplication
+
+import napari_defocus
+from napari_defocus import Settings, ThinLens, simulate_defocus
+from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.defocus import DEPTH, MASK, MORE, DefocusWidget
+from napari_defocus.widgets.preferences import PLUGIN
+
+pytestmark = pytest.mark.display
+
+
+@pytest.fixture
+def leaf(viewer, texture):
+    return viewer.add_image(texture, name="leaf", scale=(2, 3))
+
+
+@pytest.fixture
+def finished(qtbot):
+    def wait(run):
+        assert run is not None
+        with qtbot.waitSignal(run.finished, timeout=60_000):
+            pass
+
+    return wait
+
+
+@pytest.fixture
+def measured(leaf, opened, finish, method):
+    widget = opened(DefocusWidget)
+    finish(widget)
+    return widget
+
+
+def names(viewer):
+    return [layer.name for layer in viewer.layers]
+
+
+def test_one_press_gives_map_confidence_mask_and_veil(viewer, measured):
+    made = ["leaf blur (px)", "leaf confidence", "leaf in focus", "leaf not trusted"]
+    assert names(viewer) == ["leaf", *made]
+    assert "Noise variance" in measured.status.value
+
+
+def test_it_tells_a_first_time_user_what_to_do(opened):
+    assert "press “Measure”" in opened(DefocusWidget).status.value
+
+
+def test_every_button_explains_itself(opened):
+    tools = opened(DefocusWidget).tools
+    for button in vars(tools).values():
+        if isinstance(button, PushButton):
+            assert len(button.tooltip) > 30
+
+
+def test_planes_are_asked_for_in_stacks_only(window, docked, texture):
+    window.add_image(texture, name="leaf")
+    window.add_image(np.stack([texture] * 3), name="stack")
+    widget = docked(DefocusWidget)
+    for name, shown in [("leaf", False), ("stack", True), ("leaf", False)]:
+        widget.image.value = window.layers[name]
+        assert widget.planes.native.isHidden() != shown
+        assert widget.tools.curve.enabled == shown
+
+
+def test_mask_follows_the_threshold(viewer, measured, qtbot, method):
+    measured.settings.threshold.value = 3.0
+    qtbot.waitUntil(lambda: viewer.layers["leaf in focus"].data.min() == 1)
+    assert len(method.estimations) == 1
+
+
+def test_restoration_and_depth_use_the_map_that_is_there(viewer, measured, finished, method):
+    finished(measured.restore())
+    lens = measured.depth.thin_lens
+    lens.focal_length.value, lens.f_number.value = "50", "2"
+    lens.focus_distance.value, lens.pixel_pitch.value = "2", "50"
+    finished(measured.estimate_depth())
+    assert names(viewer)[-2:] == ["leaf all in focus", "leaf depth (m)"]
+    assert len(method.estimations) == len(method.labelings) == len(method.restorations) == 1
+    expected = ThinLens(focal_length_mm=50, f_number=2, focus_distance_m=2, pixel_pitch_um=50)
+    depth = viewer.layers["leaf depth (m)"].data
+    known = depth[np.isfinite(depth)]
+    np.testing.assert_allclose(
+        known, napari_defocus.depth_from_blur(np.full(1, method.radius), expected)[0], rtol=1e-5
+    )
+
+
+def test_missing_numbers_of_the_lens_are_asked_for(measured, messages):
+    measured.pages.show(DEPTH)
+    assert measured.estimate_depth() is None
+    assert "Fill in the focal length" in messages()[-1]
+
+
+def test_new_seeds_are_ready_to_paint(viewer, measured):
+    measured.add_seeds()
+    tabs = measured.pages.native
+    assert tabs.tabText(tabs.currentIndex()) == MASK
+    seeds = viewer.layers.selection.active
+    assert (seeds.name, seeds.mode) == ("leaf seeds", "paint")
+    assert measured.seeds.value == seeds
+
+
+def test_earlier_results_stay_if_that_is_wanted(viewer, measured, finish):
+    before = viewer.layers["leaf blur (px)"].data.copy()
+    measured.keep_earlier.value = True
+    measured.settings.max_radius.value = 6.0
+    finish(measured)
+    assert {"leaf blur (px)", "leaf blur (px) 2", "leaf in focus 2"} <= set(names(viewer))
+    np.testing.assert_array_equal(viewer.layers["leaf blur (px)"].data, before)
+    assert tuple(viewer.layers["leaf blur (px) 2"].contrast_limits) == (0.0, 6.0)
+
+
+def test_a_run_on_all_planes_gives_stacks_and_then_one_plane_is_renewed(
+    viewer, opened, finish, method, texture, qtbot
+):
+    viewer.add_image(np.stack([texture, texture[::-1], texture]), name="stack", scale=(5, 1, 1))
+    widget = opened(DefocusWidget)
+    widget.planes.value = "all"
+    finish(widget)
+    maps = viewer.layers["stack blur (px)"]
+    assert maps.data.shape == (3, *texture.shape)
+    assert len(method.estimations) == 3
+    widget.planes.value = "shown"
+    viewer.dims.set_current_step(0, 2)
+    method.radius = 5.0
+    finish(widget)
+    assert [float(np.median(plane)) for plane in maps.data] == [2.5, 2.5, 5.0]
+    assert viewer.layers["stack blur (px)"] is maps
+    assert tuple(maps.scale) == (5, 1, 1)
+
+
+def test_part_of_the_picture_is_measured_where_it_lies(viewer, leaf, opened, finish, method):
+    shapes = viewer.add_shapes([np.array([[20, 30], [20, 120], [100, 120], [100, 30]])])
+    widget = opened(DefocusWidget)
+    widget.region.value = shapes
+    finish(widget)
+    assert method.estimations[0]["image"].shape == (41, 31)
+    assert tuple(viewer.layers["leaf blur (px)"].translate) == (20, 30)
+
+
+def test_settings_are_saved_and_loaded(viewer, measured, opened, tmp_path, messages):
+    measured.settings.lens.take("polygon:5")
+    measured.settings.max_radius.value = 5.0
+    measured.settings.threshold.value = 1.5
+    measured.settings.map_smoothness.value = 33.0
+    file = tmp_path / "mine.json"
+    measured.tools.save(file)
+    assert json.loads(file.read_text())["map"]["psf"].startswith("polygon:5")
+    other = opened(DefocusWidget)
+    other.tools.load(file)
+    assert other.settings.map_settings() == measured.settings.map_settings()
+    assert other.settings.mask_settings() == measured.settings.mask_settings()
+    assert Settings.load(file).map.max_radius == 5.0
+    measured.tools.save(file)
+    assert "exists" in messages()[-1]
+
+
+def test_settings_that_have_no_field_are_kept(opened, tmp_path):
+    file = tmp_path / "mine.json"
+    Settings(map=MapSettings(window=31, stride=5)).save(file)
+    widget = opened(DefocusWidget)
+    widget.tools.load(file)
+    assert widget.settings.map_settings() == MapSettings(window=31, stride=5)
+
+
+def test_file_that_holds_no_settings_is_refused_in_words(opened, tmp_path, messages):
+    file = tmp_path / "mine.json"
+    file.write_text('{"map": {"max_radius": "large"}}')
+    widget = opened(DefocusWidget)
+    widget.tools.load(file)
+    assert "max_radius" in messages()[-1]
+    assert widget.settings.map_settings() == MapSettings()
+
+
+def test_form_begins_with_what_preferences_say(viewer, opened, plugin_settings, npe2pm):
+    from pathlib import Path
+
+    file = Path(napari_defocus.__file__).with_name("napari.yaml")
+    npe2pm.register(PluginManifest.from_file(file))
+    preferences = get_plugin_settings(PLUGIN)
+    preferences.map.max_radius = 5.0
+    preferences.mask.threshold = 1.5
+    preferences.display.live = False
+    preferences.display.min_confidence = 0.25
+    widget = opened(DefocusWidget)
+    assert widget.settings.map_settings() == MapSettings(max_radius=5.0)
+    assert widget.settings.mask_settings() == MaskSettings(threshold=1.5)
+    assert not widget.live.value
+    assert widget.settings.min_confidence.value == 0.25
+
+
+def test_map_is_saved_and_opened_again(viewer, measured, tmp_path):
+    file = tmp_path / "leaf-blur.tif"
+    measured.tools.save_blur_map(file)
+    before = viewer.layers["leaf blur (px)"]
+    measured.tools.open_saved(file)
+    again = viewer.layers[-1]
+    np.testing.assert_array_equal(again.data, before.data)
+    assert tuple(again.scale) == (2, 3)
+    assert again.metadata["napari_defocus"]["result"] == "blur map"
+
+
+@pytest.mark.parametrize("press", ["save_blur_map", "add_regions", "toggle_3d", "copy_script"])
+@pytest.mark.parametrize("image", [False, True])
+def test_what_cannot_be_done_yet_is_said_in_words(
+    viewer, opened, texture, messages, press, image, finished
+):
+    if image:
+        viewer.add_image(texture, name="leaf")
+    widget = opened(DefocusWidget)
+    run = getattr(widget.tools, press)()
+    if press == "copy_script" and image:
+        finished(run)
+        assert "clipboard" in messages()[-1]
+        return
+    assert run is None
+    assert messages()
+    assert "Traceback" not in messages()[-1]
+
+
+def test_regions_are_numbered_in_a_table(viewer, measured, finished, method, messages):
+    method.radius = 1.0
+    measured.settings.max_radius.value = 6.0
+    finished(measured.run())
+    finished(measured.tools.add_regions())
+    regions = viewer.layers["leaf regions"]
+    assert regions.data.max() == 1
+    assert regions.features["share_percent"].iloc[1] == pytest.approx(100)
+    assert "1 region is in focus" in messages()[-1]
+
+
+def test_relief_and_the_way_back(viewer, measured, finished):
+    visible = [layer.visible for layer in viewer.layers]
+    finished(measured.tools.toggle_3d())
+    assert viewer.dims.ndisplay == 3
+    assert measured.tools.relief.text == "Back to 2-D"
+    assert measured.tools.toggle_3d() is None
+    assert viewer.dims.ndisplay == 2
+    assert [layer.visible for layer in viewer.layers] == visible
+    assert measured.tools.relief.text == "Show in 3-D"
+
+
+def test_copied_script_gives_the_same_map_and_mask_bit_for_bit(
+    window, docked, finish, finished, gravel, tmp_path
+):
+    radius = np.full(gravel.shape, 3.5)
+    radius[:, :70] = 0.8
+    picture = simulate_defocus(gravel, radius, noise_variance=1e-5, rng=0)
+    file = tmp_path / "stones.png"
+    imwrite(file, (255 * picture).round().astype(np.uint8))
+    window.open(file, plugin="napari")
+    widget = docked(DefocusWidget)
+    widget.settings.threshold.value = 1.6
+    widget.settings.map_smoothness.value = 12.0
+    finish(widget, timeout=120_000)
+    finished(widget.tools.copy_script())
+    script = tmp_path / "again.py"
+    script.write_text(QApplication.clipboard().text())
+    found = runpy.run_path(str(script))
+    for variable, layer in {
+        "blur_map": "stones blur (px)",
+        "confidence": "stones confidence",
+        "in_focus": "stones in focus",
+    }.items():
+        np.testing.assert_array_equal(found[variable], window.layers[layer].data)
+    assert 0.2 < found["in_focus"].mean() < 0.8
+
+
+def test_pages_have_what_they_say(opened):
+    widget = opened(DefocusWidget)
+    tabs = widget.pages.native
+    assert [tabs.tabText(n) for n in range(tabs.count())] == [
+        *("Map", "In focus", "Restore", "Depth", "More")
+    ]
+    widget.pages.show(MORE)
+    assert tabs.tabText(tabs.currentIndex()) == MORE
+
+
+def test_probe_and_focus_curve_open_beside_it(window, docked, finish, method, texture):
+    window.add_image(np.stack([texture] * 2), name="stack")
+    widget = docked(DefocusWidget)
+    finish(widget)
+    widget.tools.open_probe()
+    widget.tools.open_focus_curve()
+    docks = list(window.window.dock_widgets)
+    assert any("Probe" in name for name in docks)
+    assert any("Focus curve" in name for name in docks)
