@@ -19,6 +19,8 @@ from napari_defocus.widgets.results import (
     METADATA_KEY,
     layer_of_result,
     made_by_us,
+)
+from napari_defocus.widgets.showing import (
     show_results,
 )
 

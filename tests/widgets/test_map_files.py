@@ -32,7 +32,14 @@ from napari_defocus.widgets.map_files import (
 )
 from napari_defocus.widgets.map_source import may_be_map_of, settings_of_map, source_of_layer
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY, made_by_us, show_results
+from napari_defocus.widgets.results import (
+    BLUR_MAP,
+    METADATA_KEY,
+    made_by_us,
+)
+from napari_defocus.widgets.showing import (
+    show_results,
+)
 
 MANIFEST = PluginManifest.from_file(Path(napari_defocus.__file__).with_name("napari.yaml"))
 SETTINGS = MapSettings(smoothness=5.0, max_radius=6.0)

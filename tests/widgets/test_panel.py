@@ -12,7 +12,9 @@ from napari_defocus.widgets.blur_map import BlurMapWidget
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.in_focus import InFocusWidget
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
-from napari_defocus.widgets.results import show_results
+from napari_defocus.widgets.showing import (
+    show_results,
+)
 
 pytestmark = pytest.mark.display
 
@@ -190,20 +192,20 @@ def test_which_lens_fits_is_shown_and_taken(viewer, opened, qtbot, gravel):
     viewer.add_image(gravel, name="other")
     widget = opened(BlurMapWidget)
     widget.image.value = viewer.layers["gravel"]
-    assert widget.best_button.native.isHidden()
+    assert widget.comparison.best_button.native.isHidden()
     with qtbot.waitSignal(widget.compare().finished, timeout=60_000):
-        assert not widget.compare_button.enabled
+        assert not widget.comparison.button.enabled
         assert not widget.run_button.enabled
-    assert widget.compare_button.enabled
-    table = widget.comparison.value
+    assert widget.comparison.button.enabled
+    table = widget.comparison.table.value
     assert table.index("annulus:0.5") < table.index("annulus:0.3") < table.index("disc")
     assert "5.0 px" in table
-    assert widget.best_button.text == "Take the best: annulus:0.5"
-    widget.best_button.native.click()
+    assert widget.comparison.best_button.text == "Take the best: annulus:0.5"
+    widget.comparison.best_button.native.click()
     assert widget.settings.map_settings().psf == "annulus:0.5"
     assert names(viewer) == ["gravel", "other"]
     widget.image.value = viewer.layers["other"]
-    assert widget.best_button.native.isHidden(), "it was about another picture"
+    assert widget.comparison.best_button.native.isHidden(), "it was about another picture"
 
 
 def test_comparison_of_a_picture_without_texture_is_said_in_plain_words(
@@ -214,7 +216,7 @@ def test_comparison_of_a_picture_without_texture_is_said_in_plain_words(
     with qtbot.waitSignal(widget.compare().finished, timeout=30_000):
         pass
     assert "no texture" in messages()[0]
-    assert widget.best_button.native.isHidden()
+    assert widget.comparison.best_button.native.isHidden()
 
 
 def test_measured_lens_without_a_file_is_said_in_plain_words(viewer, opened, texture, messages):

@@ -4,7 +4,10 @@ import pytest
 from napari.components import ViewerModel
 
 from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.results import made_by_us
+from napari_defocus.widgets.result_layers import MASK_COLOR
+from napari_defocus.widgets.results import (
+    made_by_us,
+)
 from napari_defocus.widgets.seeds import SEEDS, add_seeds_layer, shown_seeds
 
 PLACED = {
@@ -57,8 +60,8 @@ def test_labels_have_the_colours_of_their_meaning(viewer):
     labels = add_seeds_layer(viewer, viewer.add_image(np.zeros((30, 40))))
     free, focused, blurred = (labels.get_color(label) for label in (0, 1, 2))
     assert free is None or free[3] == 0
-    assert focused[1] > focused[0], "green"
-    assert blurred[0] > blurred[1], "red"
+    np.testing.assert_allclose(focused, MASK_COLOR, atol=0.01, err_msg="that of the mask")
+    assert np.abs(focused - blurred).max() > 0.5
 
 
 def test_each_plane_of_a_stack_has_its_own(viewer):

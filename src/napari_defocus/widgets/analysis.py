@@ -30,7 +30,9 @@ from napari_defocus.widgets.estimation import (
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.results import METADATA_KEY
+from napari_defocus.widgets.results import (
+    METADATA_KEY,
+)
 from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:

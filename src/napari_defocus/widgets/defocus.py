@@ -14,7 +14,12 @@ from napari_defocus.widgets.pages import Pages
 from napari_defocus.widgets.panel import DefocusPanel
 from napari_defocus.widgets.restoration_form import RestorationForm
 from napari_defocus.widgets.restored import Restoration
-from napari_defocus.widgets.results import Results, showing_results
+from napari_defocus.widgets.results import (
+    Results,
+)
+from napari_defocus.widgets.showing import (
+    showing_results,
+)
 from napari_defocus.widgets.tools import Tools
 from napari_defocus.widgets.workers import Run
 
@@ -73,7 +78,7 @@ class DefocusWidget(DefocusPanel):
             "How the blur is measured, and how smooth its map is",
             [
                 *settings.lens.fields(),
-                *(self.compare_button, self.comparison, self.best_button),
+                *self.comparison.fields(),
                 *(settings.max_radius, settings.map_smoothness, settings.map_color_sigma),
                 *(settings.confidence, settings.min_confidence),
             ],

@@ -13,8 +13,15 @@ from napari.utils.notifications import show_info, show_warning
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, shown_plane
 from napari_defocus.widgets.region_field import RegionField
-from napari_defocus.widgets.results import MEASURED_PSF, METADATA_KEY, made_by_us, prepare_napari
+from napari_defocus.widgets.results import (
+    MEASURED_PSF,
+    METADATA_KEY,
+    made_by_us,
+)
 from napari_defocus.widgets.run_panel import RunPanel
+from napari_defocus.widgets.showing import (
+    prepare_napari,
+)
 
 T = TypeVar("T")
 

@@ -2,10 +2,8 @@
 
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
-from typing import Any
 
-from magicgui.widgets import CheckBox, ComboBox, Label, PushButton, Widget
+from magicgui.widgets import Widget
 from napari.components import ViewerModel
 from napari.layers import Labels, Layer
 from napari.types import LayerDataTuple
@@ -18,9 +16,16 @@ from napari_defocus.widgets.analysis import Analysis, Comparison
 from napari_defocus.widgets.estimation import Analysed
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.lens_comparison import LensComparison
 from napari_defocus.widgets.live import LiveLabels
 from napari_defocus.widgets.planes_field import PlanesField
 from napari_defocus.widgets.preferences import preferred_display, preferred_settings
+from napari_defocus.widgets.result_fields import (
+    keep_earlier_field,
+    live_field,
+    seeds_button,
+    seeds_field,
+)
 from napari_defocus.widgets.result_layers import not_trusted_layer
 from napari_defocus.widgets.results import (
     BLUR_MAP,
@@ -30,23 +35,21 @@ from napari_defocus.widgets.results import (
     Results,
     layer_of_result,
     made_by_us,
-    show_results,
-    showing_results,
 )
 from napari_defocus.widgets.seeds import (
-    SEEDS,
     Seeds,
     SeedsWatch,
     add_seeds_layer,
     shown_seeds,
 )
 from napari_defocus.widgets.settings_form import SettingsForm
+from napari_defocus.widgets.showing import (
+    show_results,
+    showing_results,
+)
 from napari_defocus.widgets.shown_labels import ShownLabels
 from napari_defocus.widgets.stack_analysis import StackAnalysis
 from napari_defocus.widgets.workers import Run
-
-LONGEST_NAME = 22
-"""In letters, of a lens in the table; a longer one would make the panel wide."""
 
 
 class DefocusPanel(ImagePanel):
@@ -77,8 +80,8 @@ class DefocusPanel(ImagePanel):
         Whether map and mask follow the sliders and the seeds.
     keep_earlier : magicgui.widgets.CheckBox
         Whether the results of earlier runs stay.
-    compare_button, comparison, best_button : magicgui widgets
-        Start a comparison of lenses, show it, and take the best of it.
+    comparison : LensComparison
+        Which lens fits the picture.
     """
 
     def __init__(
@@ -87,7 +90,6 @@ class DefocusPanel(ImagePanel):
         super().__init__(napari_viewer, action=action)
         self._blur_map = blur_map
         self._mask = mask
-        self._best = ""
         self._shown = ShownLabels()
         self.planes = PlanesField()
         display = preferred_display()
@@ -95,42 +97,9 @@ class DefocusPanel(ImagePanel):
         self.settings = SettingsForm(
             blur_map=blur_map, mask=mask, last_measured=self._last_measured
         )
-        self.seeds = ComboBox(
-            name="seeds",
-            label="seeds",
-            choices=self._seeds_layers,
-            nullable=True,
-            tooltip="A labels layer on the image that says what is known: 1 in focus, 2 blurred, "
-            "0 not known. The mask keeps to it, and what looks alike around it follows. "
-            "Changing it does not analyse the picture again.",
-        )
-        self.seeds_button = PushButton(
-            name="new_seeds",
-            text="New seeds layer",
-            tooltip="Add a labels layer for the chosen image, ready to paint: label 1 where it is "
-            "in focus, label 2 where it is blurred.",
-        )
-        self.compare_button = PushButton(
-            name="compare",
-            text="Which lens fits?",
-            tooltip="Compare how well several lenses explain the picture, and show the best.",
-        )
-        self.live = CheckBox(
-            name="live",
-            text="follow the sliders",
-            value=display.live,
-            tooltip="Once the picture is measured, label it again whenever a slider or the seeds "
-            "change: a rough map and mask at once, the fine ones when the slider rests.",
-        )
-        self.keep_earlier = CheckBox(
-            name="keep_earlier",
-            text="keep earlier results",
-            value=display.keep_earlier,
-            tooltip="Put the results of a run beside those of earlier ones, with a number in their "
-            "names, instead of updating these.",
-        )
-        self.comparison = Label(name="comparison", label=" ", value="")
-        self.best_button = PushButton(name="take_best", text="Take the best")
+        self.seeds, self.seeds_button = seeds_field(napari_viewer), seeds_button()
+        self.live, self.keep_earlier = live_field(display), keep_earlier_field(display)
+        self.comparison = LensComparison()
         self._finish_form(self._fields())
         preferred = preferred_settings()
         self.settings.take(preferred.map, preferred.mask)
@@ -144,9 +113,7 @@ class DefocusPanel(ImagePanel):
             self.region,
             self.planes,
             *settings.lens.fields(),
-            self.compare_button,
-            self.comparison,
-            self.best_button,
+            *self.comparison.fields(),
             *settings.main_fields(),
             *([self.seeds, self.seeds_button] if self._mask else []),
             self.live,
@@ -158,11 +125,11 @@ class DefocusPanel(ImagePanel):
     def _wire(self) -> None:
         self.settings.lens.show_needed()
         self.settings.show_more(False)
-        self._forget_comparison()
+        self.comparison.forget()
         self.seeds_button.clicked.connect(self.add_seeds)
-        self.compare_button.clicked.connect(self.compare)
-        self.best_button.clicked.connect(self.take_best)
-        self.image.changed.connect(lambda _: self._forget_comparison())
+        self.comparison.button.clicked.connect(self.compare)
+        self.comparison.best_button.clicked.connect(self.take_best)
+        self.image.changed.connect(lambda _: self.comparison.forget())
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
         for field in self.settings.weights():
             field.number.changed.connect(lambda _: self.update_labels())
@@ -172,13 +139,6 @@ class DefocusPanel(ImagePanel):
         self.seeds.changed.connect(lambda layer: self._on_seeds(layer))
         self._live_labels = LiveLabels(self.kept, self._show_live, self.native)
         self._choose_active()
-
-    def _seeds_layers(self, _: Any) -> list[Labels]:
-        return [
-            layer
-            for layer in self._viewer.layers
-            if isinstance(layer, Labels) and made_by_us(layer) in (None, SEEDS)
-        ]
 
     def analysis(self) -> Analysis:
         """Return what the form asks for now.
@@ -326,12 +286,12 @@ class DefocusPanel(ImagePanel):
 
     def take_best(self) -> None:
         """Fill the lens' fields with the best of the comparison."""
-        if self._best:
-            self.settings.lens.take(self._best)
+        if self.comparison.best:
+            self.settings.lens.take(self.comparison.best)
 
     def _show_running(self, running: bool) -> None:
         super()._show_running(running)
-        self.compare_button.enabled = not running
+        self.comparison.button.enabled = not running
         if not running:
             self.update_labels()  # for whoever has moved a slider meanwhile
 
@@ -365,6 +325,7 @@ class DefocusPanel(ImagePanel):
             yield layer
         if whole:
             self._rough.clear()
+            self._choose_first(results)
             self._live_labels.prepare(analysed, analysis)
 
     def _showing(
@@ -397,18 +358,16 @@ class DefocusPanel(ImagePanel):
         if painted is not None and painted == self.seeds.value:
             selection.active = painted
 
-    def _show_comparison(self, rows: list[tuple[str, PSFEvidence]]) -> None:
-        self._best, _ = rows[0]
-        self.comparison.value = _table(rows)
-        self.best_button.text = f"Take the best: {_short(self._best)}"
-        self.comparison.show()
-        self.best_button.show()
-        self.status.value = "The nearer the evidence is to 0, the better the lens fits."
+    def _choose_first(self, results: list[LayerDataTuple]) -> None:
+        """Make the map the active layer, or the mask, unless somebody paints seeds."""
+        selection, made = self._viewer.layers.selection, results[0][1]["metadata"][METADATA_KEY]
+        first = layer_of_result(self._viewer.layers, made["result"], made["source"])
+        if first is not None and (selection.active is None or selection.active != self.seeds.value):
+            selection.active = first
 
-    def _forget_comparison(self) -> None:
-        self._best = ""
-        self.comparison.hide()
-        self.best_button.hide()
+    def _show_comparison(self, rows: list[tuple[str, PSFEvidence]]) -> None:
+        self.comparison.show(rows)
+        self.status.value = "The nearer the evidence is to 0, the better the lens fits."
 
     def _on_min_confidence(self, min_confidence: float) -> None:
         """Cover what is not trusted by the confidence layer of the chosen image, if any."""
@@ -429,18 +388,3 @@ def _summary(results: list[LayerDataTuple]) -> str:
         if keywords["metadata"][METADATA_KEY]["result"] == CONFIDENCE:
             lines.append(f"Confidence {CONFIDENT:g} or more on {(data >= CONFIDENT).mean():.0%}")
     return "\n".join(lines)
-
-
-def _short(lens: str) -> str:
-    """Return a lens' text, and of a file's path the beginning of its name."""
-    name = Path(lens).name
-    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
-
-
-def _table(rows: list[tuple[str, PSFEvidence]]) -> str:
-    lines = ["<tr><th align='left'>lens</th><th>evidence</th><th align='right'>median</th></tr>"]
-    for text, row in rows:
-        cells = f"{row.log_evidence:.2f}", f"{row.median_scale:.1f} px"
-        numbers = "".join(f"<td align='right'>&nbsp;&nbsp;{cell}</td>" for cell in cells)
-        lines.append(f"<tr><td>{_short(text)}</td>{numbers}</tr>")
-    return f"<table>{''.join(lines)}</table>"

@@ -30,6 +30,8 @@ from napari_defocus.widgets.results import (
     METADATA_KEY,
     layer_of_result,
     provenance,
+)
+from napari_defocus.widgets.showing import (
     show_results,
 )
 
