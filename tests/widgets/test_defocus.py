@@ -286,12 +286,17 @@ def test_pages_have_what_they_say(opened):
     assert tabs.tabText(tabs.currentIndex()) == MORE
 
 
-def test_probe_and_focus_curve_open_beside_it(window, docked, finish, method, texture):
+def test_probe_and_focus_curve_open_beside_it(window, docked, finish, method, texture, qtbot):
     window.add_image(np.stack([texture] * 2), name="stack")
     widget = docked(DefocusWidget)
     finish(widget)
     widget.tools.open_probe()
     widget.tools.open_focus_curve()
+    probe = widget.tools._probe()
+    explained = []
+    probe.refresh = lambda: explained.append(True)
+    widget.settings.threshold.value = 3.0
+    qtbot.waitUntil(lambda: bool(explained))
     docks = list(window.window.dock_widgets)
     assert any("Probe" in name for name in docks)
     assert any("Focus curve" in name for name in docks)

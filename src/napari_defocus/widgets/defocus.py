@@ -131,6 +131,9 @@ class DefocusWidget(DefocusPanel):
         self.pages.reset_choices()
         self.tools.refresh()
 
+    def _on_shown(self) -> None:
+        self.tools.refresh_probe()
+
     def add_seeds(self) -> Any:
         """Add a layer for seeds, see `DefocusPanel.add_seeds`, and show what goes with it."""
         self.pages.show(MASK)

@@ -343,6 +343,10 @@ class DefocusPanel(ImagePanel):
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
             self.status.value = _summary(results)
+            self._on_shown()
+
+    def _on_shown(self) -> None:
+        """Tell whoever explains results that there are new ones."""
 
     def _showing_below_brush(
         self, results: list[LayerDataTuple], keep_earlier: bool

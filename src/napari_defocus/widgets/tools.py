@@ -1,5 +1,6 @@
 """Buttons that look at the results of a panel, and that keep them."""
 
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,7 @@ class Tools:
     def __init__(self, panel: "DefocusPanel") -> None:
         self._panel = panel
         self._viewer = panel._viewer
+        self._probe: weakref.ref[Any] | None = None
         self.probe = _button(
             "Why here?",
             "Open the probe: how likely each blur is at the place under the mouse, and what part "
@@ -105,6 +107,13 @@ class Tools:
 
         widget = self._opened(PROBE, ProbeWidget)
         widget.set_image(self._panel.image.value)
+        self._probe = weakref.ref(widget)
+
+    def refresh_probe(self) -> None:
+        """Let the probe that was opened here explain its place again."""
+        probe = None if self._probe is None else self._probe()
+        if probe is not None:
+            probe.refresh()
 
     def open_focus_curve(self) -> None:
         """Open the curve of the stack that was measured."""
