@@ -10,6 +10,7 @@ from napari.layers import Image, Layer
 from qtpy.QtCore import Qt, QTimer
 
 from napari_defocus.widgets.curve_canvas import CurveCanvas
+from napari_defocus.widgets.destruction import when_destroyed
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.probing import (
     NothingKnownError,
@@ -91,7 +92,7 @@ class ProbeWidget(Container[Widget]):
         self._timer = QTimer(self.native)
         self._timer.setSingleShot(True)
         self._timer.timeout.connect(lambda: self.refresh())
-        self.native.destroyed.connect(lambda: self.stop())
+        when_destroyed(self.native, self, lambda probe: probe.stop())
         self.image.changed.connect(lambda _: self.refresh())
         self.outlined.changed.connect(lambda _: self.refresh())
         self.reset_choices()

@@ -1,5 +1,6 @@
 """What all widgets that work in a thread share: run, watch, cancel."""
 
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import QLabel, QSizePolicy, QWidget
 
 from napari_defocus.other_process import end_idle
+from napari_defocus.widgets.destruction import when_destroyed
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.workers import STEPS, Run
 
@@ -19,8 +21,8 @@ PAUSE = 15
 """Milliseconds between two steps of what is shown, in which the window draws."""
 
 
-_open: set[int] = set()
-"""Which panels are open: with the last one, the processes end that wait for work."""
+_panels: list[weakref.ref["RunPanel"]] = []
+"""Those that are open: with the last one, the processes end that wait for work."""
 
 
 class RunPanel(Container[Widget]):
@@ -43,7 +45,7 @@ class RunPanel(Container[Widget]):
         self._running: Run | None = None
         self._planes: Sequence[Plane] = ()
         self._closed = False
-        _open.add(id(self))
+        _panels.append(weakref.ref(self))
         self.run_button = PushButton(text=action)
         self.cancel_button = PushButton(text="Cancel", enabled=False)
         self.progress_bar = ProgressBar(name="progress", label=" ", min=0, max=STEPS, value=0)
@@ -64,7 +66,7 @@ class RunPanel(Container[Widget]):
         self.progress_bar.hide()
         wrap(self.status)
         widen_labels(self.native)
-        self.native.destroyed.connect(lambda: self._on_closed())
+        when_destroyed(self.native, self, lambda panel: panel._on_closed())
 
     def run(self) -> Run | None:
         """Start the work, and return it; None if there is nothing to work on."""
@@ -159,14 +161,15 @@ class RunPanel(Container[Widget]):
 
     def _on_closed(self) -> None:
         self._closed = True
-        _open.discard(id(self))
         if self._running is not None:
             self._running.cancel()
         self._leave()
 
     def _leave(self) -> None:
         """End the processes that wait for work, if no panel is open any more."""
-        if not _open:
+        living = [(each, each()) for each in _panels]
+        _panels[:] = [each for each, panel in living if panel is not None and not panel._closed]
+        if not _panels:
             end_idle()
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from napari.qt.threading import create_worker
 from napari.utils import cancelable_progress
 from napari.utils.notifications import notification_manager
-from qtpy.QtCore import QObject, Signal
+from qtpy.QtCore import QObject, QTimer, Signal
 
 from napari_defocus.progress import Cancelled
 
@@ -191,6 +191,7 @@ class Run(QObject):
             return
         if self.bar is not None:
             self.bar.close()
-        _running.discard(self)
         self.finished.emit()
         self._owner = None
+        # Not at once: nobody else may keep it, and it is still telling that it has finished.
+        QTimer.singleShot(0, lambda: _running.discard(self))
