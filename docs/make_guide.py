@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 FOLDER = Path(__file__).parent / "images"
 GUIDE = FOLDER / "guide"
+STRIP = FOLDER / "strip.png"
 WINDOW = (1280, 700)
 TALL = (1280, 1080)
 """With room for two docks, one below the other."""
@@ -30,6 +31,8 @@ DOCK_WIDTH = 390
 WIDEST = 1400
 COLORS = 256
 
+OUTLINE = (255, 51, 204)
+"""Of the mask, in the layer's colour."""
 GROUND = (38, 41, 48)
 TEXT = (240, 241, 242)
 GAP = 8
@@ -284,7 +287,7 @@ def _of_height(picture: Image.Image, height: int) -> Image.Image:
 def captioned(picture: Image.Image, text: str) -> Image.Image:
     """Return a picture with a line of text above it."""
     whole = Image.new("RGB", (picture.width, picture.height + CAPTION), GROUND)
-    whole.paste(picture, (0, CAPTION))
+    whole.paste(picture.convert("RGB"), (0, CAPTION))
     font = ImageFont.load_default(size=19)
     ImageDraw.Draw(whole).text((10, CAPTION // 2), text, TEXT, font, anchor="lm")
     return whole
@@ -297,19 +300,19 @@ def lit(picture: Image.Image) -> Image.Image:
     return picture.crop((columns[0], rows[0], columns[-1] + 1, rows[-1] + 1))
 
 
-def save(path: Path, picture: Image.Image, colors: int = COLORS) -> None:
-    """Write a PNG of few colours, so that the pages load fast."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if picture.width > WIDEST and path.parent == GUIDE:
-        picture = picture.resize((WIDEST, round(picture.height * WIDEST / picture.width)))
-    few = picture.quantize(colors, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    few.save(path, optimize=True)
-    print(f"{path.relative_to(FOLDER)}: {few.size}, {path.stat().st_size / 1e3:.0f} kB", flush=True)
+def few_colors(picture: Image.Image, colors: int = COLORS) -> Image.Image:
+    """Return a picture in the colours that suit it best: it is stored in half the space."""
+    return picture.quantize(colors, kmeans=2, dither=Image.Dither.NONE)
 
 
 def guide(name: str, picture: Image.Image, colors: int = COLORS) -> None:
     """Write a picture of the guide."""
-    save(GUIDE / f"{name}.png", picture, colors)
+    GUIDE.mkdir(parents=True, exist_ok=True)
+    if picture.width > WIDEST:
+        picture = picture.resize((WIDEST, round(picture.height * WIDEST / picture.width)))
+    path = GUIDE / f"{name}.png"
+    few_colors(picture, colors).save(path, optimize=True)
+    print(f"{path.name}: {picture.size}, {path.stat().st_size / 1e3:.0f} kB", flush=True)
 
 
 # -- the pictures, in the order of the guide ---------------------------------------------------
@@ -416,10 +419,11 @@ def probe() -> None:
         session.wait(0.5)
         probe = session.dock("Probe")
         session.window.resizeDocks([probe.native.parent()], [480], Qt.Vertical)
-        session.look_at(180, 180, 1.0)
+        session.widen(probe.native.parent(), 560)
+        session.look_at(180, 165, 1.0)
         session.hover(180, 116)
         session.wait(1.5)
-        guide("probe", beside(session.part((0, 0), (400, 430)), session.of(probe)))
+        guide("probe", beside(session.part((0, 0), (400, 330)), session.of(probe)))
 
 
 def region() -> None:
@@ -559,11 +563,17 @@ def strip() -> None:
             "3  Correct the mask by strokes": corrected,
             "4  Take the blur away": session.picture(BRUSHES),
         }
-        small = {text: _of_height(frame, STRIP_HEIGHT) for text, frame in frames.items()}
-        save(
-            FOLDER / "strip.png",
-            beside(*(captioned(frame, text) for text, frame in small.items())),
-        )
+        small = {text: _of_height(each, STRIP_HEIGHT) for text, each in frames.items()}
+        row = beside(*(captioned(frame, text) for text, frame in small.items()))
+        row.quantize(palette=_palette(row), dither=Image.Dither.NONE).save(STRIP, optimize=True)
+        print(f"{STRIP.name}: {row.size}, {STRIP.stat().st_size / 1e3:.0f} kB")
+
+
+def _palette(picture: Image.Image) -> Image.Image:
+    """Return the colours that suit a picture best, with some for the thin outline."""
+    larger = Image.new("RGB", (picture.width, picture.height + 2 * CAPTION), OUTLINE)
+    larger.paste(picture, (0, 0))
+    return few_colors(larger)
 
 
 def main() -> None:
