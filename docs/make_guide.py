@@ -28,6 +28,8 @@ TALL = (1280, 1080)
 WIDE = (1585, 700)
 """The canvas has the shape of the brushes then, so that the colour bar lies on the map."""
 DOCK_WIDTH = 390
+CONTOUR = 3
+"""Of the outline, in the layer controls."""
 WIDEST = 1400
 COLORS = 256
 
@@ -133,9 +135,13 @@ class Session:
         self.wait(0.8)
 
     def measure(self) -> None:
-        """Press Measure, and wait."""
+        """Press Measure, wait, and make the outline wide enough for a small canvas."""
         self.press(self.panel.run_button)
         self.rest()
+        for layer in self.viewer.layers:
+            if layer.name.endswith("in focus"):
+                layer.contour = CONTOUR
+        self.wait(0.3)
 
     def page(self, title: str) -> None:
         """Click on a tab."""
