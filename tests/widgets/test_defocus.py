@@ -228,7 +228,7 @@ def test_what_cannot_be_done_yet_is_said_in_words(
     assert "Traceback" not in messages()[-1]
 
 
-def test_regions_are_numbered_in_a_table(viewer, measured, finished, method, messages):
+def test_regions_are_numbered_in_a_table(viewer, measured, finished, method):
     method.radius = 1.0
     measured.settings.max_radius.value = 6.0
     finished(measured.run())
@@ -236,7 +236,7 @@ def test_regions_are_numbered_in_a_table(viewer, measured, finished, method, mes
     regions = viewer.layers["leaf regions"]
     assert regions.data.max() == 1
     assert regions.features["share_percent"].iloc[1] == pytest.approx(100)
-    assert "1 region is in focus" in messages()[-1]
+    assert "1 region is in focus" in measured.status.value
 
 
 def test_relief_and_the_way_back(viewer, measured, finished):

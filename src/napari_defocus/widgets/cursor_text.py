@@ -5,6 +5,7 @@ There the numbers are added, when the viewer says that its status has changed: n
 touched, and nothing is read in napari's thread.
 """
 
+import math
 import weakref
 from typing import Any
 
@@ -94,7 +95,9 @@ def text_under_cursor(viewer: ViewerModel) -> str:
         words.append(f"{_scale_name(blur_map)}{scale:.1f} px")
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
-        words.append(f"confidence {sure:.2f}{'' if trusted else ' (not trusted)'}")
+        # Rounded up, it might read like one that is trusted.
+        told = f"{sure:.2f}" if trusted else f"{math.floor(100 * sure) / 100:.2f} (not trusted)"
+        words.append(f"confidence {told}")
     if mask is not None:
         words.append("in focus" if mask else "blurred")
     return ", ".join(words)

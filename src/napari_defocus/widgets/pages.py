@@ -1,7 +1,7 @@
 """Fields on pages, behind tabs."""
 
 from magicgui.widgets import Container, Widget
-from qtpy.QtWidgets import QTabWidget, QWidget
+from qtpy.QtWidgets import QFrame, QScrollArea, QTabWidget, QWidget
 
 from napari_defocus.widgets.run_panel import widen_labels
 
@@ -17,6 +17,7 @@ class Pages:
     def __init__(self) -> None:
         self.native = QTabWidget()
         self.native.setDocumentMode(True)
+        self.native.tabBar().setDrawBase(False)
         self._pages: list[Container[Widget]] = []
 
     def add(self, title: str, tooltip: str, fields: list[Widget]) -> None:
@@ -28,7 +29,13 @@ class Pages:
         native: QWidget = page.native
         widen_labels(native)
         native.layout().addStretch(1)
-        number = self.native.addTab(native, title)
+        # The dock has to fit into the window of a laptop.
+        rolled = QScrollArea()
+        rolled.setWidgetResizable(True)
+        rolled.setFrameShape(QFrame.NoFrame)
+        rolled.setMinimumWidth(native.sizeHint().width())
+        rolled.setWidget(native)
+        number = self.native.addTab(rolled, title)
         self.native.setTabToolTip(number, tooltip)
         self._pages.append(page)
 

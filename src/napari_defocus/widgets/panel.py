@@ -3,11 +3,13 @@
 from collections.abc import Iterator
 from functools import partial
 
+import numpy as np
 from magicgui.widgets import Widget
 from napari.components import ViewerModel
 from napari.layers import Labels, Layer
 from napari.types import LayerDataTuple
 from napari.utils.notifications import show_warning
+from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 
 from napari_defocus import PSFEvidence
@@ -342,8 +344,14 @@ class DefocusPanel(ImagePanel):
         self._shown.note(analysed, analysis, whole=whole)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
-            self.status.value = _summary(results)
+            self.status.value = _summary(results, self._confidence(results))
             self._on_shown()
+
+    def _confidence(self, results: list[LayerDataTuple]) -> NDArray[np.floating] | None:
+        """Return the confidence that is shown of what results are of, if it is."""
+        source = results[0][1]["metadata"][METADATA_KEY]["source"]
+        layer = layer_of_result(self._viewer.layers, CONFIDENCE, source)
+        return None if layer is None else np.asarray(layer.data)
 
     def _on_shown(self) -> None:
         """Tell whoever explains results that there are new ones."""
@@ -384,11 +392,11 @@ class DefocusPanel(ImagePanel):
         show_results(self._viewer, [cover])
 
 
-def _summary(results: list[LayerDataTuple]) -> str:
+def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
     made = results[-1][1]["metadata"][METADATA_KEY]
     how = "found" if made["settings"]["noise_variance"] is None else "given"
     lines = [f"Noise variance {made['noise_variance']:.1e} ({how})"]
-    for data, keywords, _ in results:
-        if keywords["metadata"][METADATA_KEY]["result"] == CONFIDENCE:
-            lines.append(f"Confidence {CONFIDENT:g} or more on {(data >= CONFIDENT).mean():.0%}")
+    if confidence is not None:
+        share = (confidence >= CONFIDENT).mean()
+        lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
     return "\n".join(lines)

@@ -32,7 +32,7 @@ INTERVAL = 40
 PATIENCE = 300
 """Time until the outline is tried again if napari was not ready, in ms."""
 
-LINES = 5
+LINES = 7
 """Of text, for which there is always room: else the curve would jump."""
 
 STILL = 4

@@ -65,7 +65,11 @@ def add_regions(viewer: ViewerModel, image: Image) -> Labels | None:
         The layer of `regions_layer`; None, and a message, if there is no mask.
     """
     wanted = wanted_regions(viewer, image)
-    return None if wanted is None else wanted.show(viewer, wanted.measured())
+    if wanted is None:
+        return None
+    measured = wanted.measured()
+    show_info(f"{wanted.told(measured)} {TABLE_HINT}")
+    return wanted.show(viewer, measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +98,7 @@ class WantedRegions:
         return *measure_regions(self.mask, **measures), measure_focus(self.mask, **measures)
 
     def show(self, viewer: ViewerModel, measured: Measured) -> Labels:
-        """Add what was measured to a viewer, or renew it, and tell of it."""
+        """Add what was measured to a viewer, or renew it."""
         labels, table, of_mask = measured
         if finest(self.mask_layer).size == self.mask.size:
             self.mask_layer.features = dict(of_mask.columns)
@@ -102,9 +106,11 @@ class WantedRegions:
         [layer] = show_results(viewer, [made])
         # Those of an earlier run are not updated by `show_results`.
         layer.features = dict(table.columns)
-        missing = _missing(self.plane.name, self.maps)
-        show_info(" ".join([_counted(table), TABLE_HINT, *missing]))
         return layer
+
+    def told(self, measured: Measured) -> str:
+        """Return what there is to say about it in words."""
+        return " ".join([_counted(measured[1]), *_missing(self.plane.name, self.maps)])
 
 
 def wanted_regions(viewer: ViewerModel, image: Image) -> WantedRegions | None:

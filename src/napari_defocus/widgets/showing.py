@@ -30,7 +30,7 @@ from napari_defocus.widgets.results import (
 
 _WITH_COLOR_BAR = (BLUR_MAP, CONFIDENCE, DEPTH)
 
-OUTLINE = 1
+OUTLINE = 2
 """How wide the outline of a mask is inside of it, in px; a wider one takes napari long to draw."""
 
 

@@ -126,7 +126,8 @@ class Tools:
         window = getattr(self._viewer, "window", None)
         if window is None:
             return widget_class(self._viewer)
-        _, widget = window.add_plugin_dock_widget("napari-defocus", name)
+        # Behind one another: docks below each other outgrow small windows.
+        _, widget = window.add_plugin_dock_widget("napari-defocus", name, tabify=True)
         return widget
 
     def toggle_3d(self) -> Run | None:
@@ -142,6 +143,7 @@ class Tools:
 
         def show(surface: Any) -> None:
             show_made_relief(self._viewer, image, surface)
+            self._panel.status.value = "Turn the relief with the mouse."
             self.refresh()
 
         return self._quickly(lambda _: make(), show)
@@ -158,9 +160,10 @@ class Tools:
 
         def show(measured: Any) -> None:
             wanted.show(self._viewer, measured)
+            self._panel.status.value = wanted.told(measured)
             window = getattr(self._viewer, "window", None)
             if window is not None:
-                window.add_plugin_dock_widget("napari", FEATURES)
+                window.add_plugin_dock_widget("napari", FEATURES, tabify=True)
 
         return self._quickly(wanted.measured, show)
 
@@ -172,6 +175,7 @@ class Tools:
 
         def take(script: str) -> None:
             QApplication.clipboard().setText(script)
+            self._panel.status.value = "The script is on the clipboard."
             show_info("A Python script that gives the same map and mask is on the clipboard.")
 
         return self._quickly(lambda _: script_of(analysis), take)
