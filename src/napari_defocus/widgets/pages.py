@@ -1,9 +1,13 @@
 """Fields on pages, behind tabs."""
 
 from magicgui.widgets import Container, Widget
+from qtpy.QtCore import QSize
 from qtpy.QtWidgets import QFrame, QScrollArea, QTabWidget, QWidget
 
 from napari_defocus.widgets.run_panel import widen_labels
+
+WIDTH = 400
+"""In px, of a page: room for the widest field, and a bar to roll it."""
 
 
 class Pages:
@@ -29,11 +33,7 @@ class Pages:
         native: QWidget = page.native
         widen_labels(native)
         native.layout().addStretch(1)
-        # The dock has to fit into the window of a laptop.
-        rolled = QScrollArea()
-        rolled.setWidgetResizable(True)
-        rolled.setFrameShape(QFrame.NoFrame)
-        rolled.setMinimumWidth(native.sizeHint().width())
+        rolled = _Rolled()
         rolled.setWidget(native)
         number = self.native.addTab(rolled, title)
         self.native.setTabToolTip(number, tooltip)
@@ -48,3 +48,17 @@ class Pages:
         """Look for choices again on all pages."""
         for page in self._pages:
             page.reset_choices()
+
+
+class _Rolled(QScrollArea):
+    """A page no wider than it must be, and no higher: the dock has to fit into small windows."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.NoFrame)
+        self.setMinimumWidth(WIDTH)
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return how large it would like to be."""
+        return QSize(WIDTH, self.widget().sizeHint().height())
