@@ -559,6 +559,8 @@ def strip() -> None:
         session.page("In focus")
         _paint_seeds(session)
         session.show_only(BRUSHES, "brushes in focus", "brushes seeds")
+        mask = session.viewer.layers["brushes in focus"]
+        mask.contour, mask.opacity = 0, 0.5
         corrected = session.picture(BRUSHES)
         session.press(session.panel.restore_button)
         session.rest()
