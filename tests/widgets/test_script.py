@@ -109,6 +109,12 @@ def painted(plane):
     return Seeds("seeds", values)
 
 
+def enclosed(plane):
+    """The part of a plane that an ellipse lies in, as one shape chooses it."""
+    y, x = np.mgrid[-1:1:60j, -1:1:70j]
+    return plane.part(slice(10, 70), slice(12, 82), inside=x**2 + y**2 <= 1, region="ellipse")
+
+
 def all_cases(folder):
     """Return runs and the files that their pictures were saved in, if napari does not know them."""
     Image.fromarray(picture()).save(folder / "p.png")
@@ -139,6 +145,7 @@ def all_cases(folder):
         "limits": (analysis(limits, {"threshold": 1.5, "smoothness": 300.0}), None),
         "cut": (analysis(cut, shot_noise=True, linearize="srgb"), None),
         "seeds": (analysis(color, {"threshold": 0.8}, painted(color)), None),
+        "shape": (analysis(enclosed(color), {"threshold": 4.0}), None),
         "lens": (analysis(color, psf="polygon:6:12.5", max_radius=6.1), None),
         "gaussian": (analysis(color, {"threshold": 1.0}, psf="gaussian", mode="paper"), None),
         "measured": (analysis(color, noise_variance=1e-4 / 3, smoothness=5.0, **lens), None),
@@ -164,7 +171,7 @@ def all_cases(folder):
 
 
 CASES = (
-    *("color", "limits", "cut", "seeds", "lens", "gaussian", "measured", "sample", "ramp"),
+    *("shape", "color", "limits", "cut", "seeds", "lens", "gaussian", "measured", "sample", "ramp"),
     *("plane", "tricky", "refocusing", "unprotected", "distances"),
 )
 

@@ -138,16 +138,24 @@ def _composed(script: _Script, picture: Picture, source: PictureSource) -> str:
 
 
 def _write_analysis(script: _Script, work: Analysis) -> None:
+    inside = work.plane.inside
+    if inside is not None:
+        told = "Which pixels the shapes of the region enclose: what is outside does not count."
+        _write_array(script, "inside", inside, told)
     _write_candidates(script, work.estimation)
     if work.blur_map:
         _write_map(script, work.estimation)
     if work.blur_map and work.confidence:
         script.step("confidence", "confidence_map", "candidates", "blur_map")
+        if inside is not None:
+            script.steps.append("confidence[inside == 0] = 0")
     if work.mask is not None:
         seeds = _write_seeds(script, work.seeds)
         said = differing(work.mask, [each.name for each in fields(MaskSettings)])
         keywords = said | seeds | script.common
         script.step("in_focus", "segment_in_focus", "candidates", "image", **keywords)
+        if inside is not None:
+            script.steps.append("in_focus[inside == 0] = 0")
 
 
 def _write_candidates(script: _Script, settings: MapSettings) -> None:
@@ -180,26 +188,21 @@ def _write_map(script: _Script, settings: MapSettings) -> None:
 def _write_seeds(script: _Script, seeds: Seeds | None) -> dict[str, str]:
     if seeds is None or not seeds.values.any():
         return {}
-    rows, columns = seeds.values.shape
-    script.imports += ["import base64", "import zlib"]
-    script.constants += _embedded(seeds.values)
-    script.steps += [
-        "seeds = np.frombuffer(zlib.decompress(base64.b64decode(SEEDS)), np.uint8)",
-        f"seeds = seeds.reshape({rows}, {columns})",
-    ]
+    told = "What was painted, pixel by pixel: 1 in focus, 2 blurred, 0 not known."
+    _write_array(script, "seeds", seeds.values, told)
     return {"seeds": "seeds"}
 
 
-def _embedded(seeds: NDArray[np.integer]) -> list[str]:
-    """Return seeds as a constant: compressed, in lines of text."""
-    packed = zlib.compress(np.ascontiguousarray(seeds, np.uint8).tobytes(), 9)
+def _write_array(script: _Script, name: str, array: NDArray[np.generic], told: str) -> None:
+    """Let the script make an array of small whole numbers, (H, W), from compressed text."""
+    rows, columns = array.shape
+    packed = zlib.compress(np.ascontiguousarray(array, np.uint8).tobytes(), 9)
     text = base64.encodebytes(packed).decode("ascii")
-    return [
-        "",
-        "# What was painted, pixel by pixel: 1 in focus, 2 blurred, 0 not known.",
-        'SEEDS = """',
-        *text.splitlines(),
-        '"""',
+    script.imports += ["import base64", "import zlib"]
+    script.constants += ["", f"# {told}", f'{name.upper()} = """', *text.splitlines(), '"""']
+    script.steps += [
+        f"{name} = np.frombuffer(zlib.decompress(base64.b64decode({name.upper()})), np.uint8)",
+        f"{name} = {name}.reshape({rows}, {columns})",
     ]
 
 

@@ -176,7 +176,10 @@ class Tools:
         def take(script: str) -> None:
             QApplication.clipboard().setText(script)
             self._panel.status.value = "The script is on the clipboard."
-            show_info("A Python script that gives the same map and mask is on the clipboard.")
+            of_one = " It does the plane that is shown." if self._panel.planes.all_planes else ""
+            show_info(
+                f"A Python script that gives the same map and mask is on the clipboard.{of_one}"
+            )
 
         return self._quickly(lambda _: script_of(analysis), take)
 
