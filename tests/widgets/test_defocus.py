@@ -56,6 +56,12 @@ def test_it_tells_a_first_time_user_what_to_do(opened):
     assert "press “Measure”" in opened(DefocusWidget).status.value
 
 
+def test_what_is_done_no_more_is_not_said(measured, finished):
+    said = measured.status.value
+    finished(measured.tools.add_regions())
+    assert measured.status.value == said
+
+
 def test_every_button_explains_itself(opened):
     tools = opened(DefocusWidget).tools
     for button in vars(tools).values():

@@ -342,7 +342,7 @@ class DefocusPanel(ImagePanel):
         self._shown.note(analysed, analysis, whole=whole)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
-            self.status.value = _summary(results)
+            self._last_word = self.status.value = _summary(results)
             self._on_shown()
 
     def _on_shown(self) -> None:
