@@ -216,6 +216,19 @@ def test_map_is_saved_and_opened_again(viewer, measured, tmp_path):
     assert again.metadata["napari_defocus"]["result"] == "blur map"
 
 
+def test_dialogs_name_without_an_ending_replaces_no_other_file(
+    measured, monkeypatch, tmp_path, messages
+):
+    chosen = tmp_path / "leaf"
+    monkeypatch.setattr(measured.tools, "_asked_to_save", lambda *_: chosen)
+    measured.tools.save_blur_map()
+    assert measured.status.value == "Saved leaf-blur.tif"
+    before = (tmp_path / "leaf-blur.tif").stat().st_mtime_ns
+    measured.tools.save_blur_map()
+    assert "exists" in messages()[0]
+    assert (tmp_path / "leaf-blur.tif").stat().st_mtime_ns == before
+
+
 @pytest.mark.parametrize("press", ["save_blur_map", "add_regions", "toggle_3d", "copy_script"])
 @pytest.mark.parametrize("image", [False, True])
 def test_what_cannot_be_done_yet_is_said_in_words(
