@@ -56,6 +56,12 @@ def test_it_tells_a_first_time_user_what_to_do(opened):
     assert "press “Measure”" in opened(DefocusWidget).status.value
 
 
+def test_what_is_done_no_more_is_not_said(measured, finished):
+    said = measured.status.value
+    finished(measured.tools.add_regions())
+    assert measured.status.value == said
+
+
 def test_every_button_explains_itself(opened):
     tools = opened(DefocusWidget).tools
     for button in vars(tools).values():
@@ -208,6 +214,19 @@ def test_map_is_saved_and_opened_again(viewer, measured, tmp_path):
     np.testing.assert_array_equal(again.data, before.data)
     assert tuple(again.scale) == (2, 3)
     assert again.metadata["napari_defocus"]["result"] == "blur map"
+
+
+def test_dialogs_name_without_an_ending_replaces_no_other_file(
+    measured, monkeypatch, tmp_path, messages
+):
+    chosen = tmp_path / "leaf"
+    monkeypatch.setattr(measured.tools, "_asked_to_save", lambda *_: chosen)
+    measured.tools.save_blur_map()
+    assert measured.status.value == "Saved leaf-blur.tif"
+    before = (tmp_path / "leaf-blur.tif").stat().st_mtime_ns
+    measured.tools.save_blur_map()
+    assert "exists" in messages()[0]
+    assert (tmp_path / "leaf-blur.tif").stat().st_mtime_ns == before
 
 
 @pytest.mark.parametrize("press", ["save_blur_map", "add_regions", "toggle_3d", "copy_script"])

@@ -316,6 +316,15 @@ def test_cancel_acts_within_a_second_and_leaves_no_layer(
     assert widget.run_button.enabled
     assert not widget.cancel_button.enabled
     assert messages() == []
+    assert widget.status.value == "Cancelled"
+
+
+def test_refusal_stays_in_the_form_when_the_message_has_gone(viewer, opened, finish, messages):
+    viewer.add_image(np.ones((1, 1)), name="dot")
+    widget = opened(MapAndMaskWidget)
+    finish(widget)
+    assert [widget.status.value] == messages()
+    assert "“dot”" in widget.status.value
 
 
 def test_cancel_in_naparis_activity_list_acts_too(window, docked, qtbot, endless_method, texture):

@@ -344,7 +344,8 @@ class DefocusPanel(ImagePanel):
         self._shown.note(analysed, analysis, whole=whole)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
-            self.status.value = _summary(results, self._confidence(results))
+            self._last_word = _summary(results, self._confidence(results))
+            self.status.value = self._last_word
             self._on_shown()
 
     def _confidence(self, results: list[LayerDataTuple]) -> NDArray[np.floating] | None:

@@ -45,6 +45,7 @@ class RunPanel(Container[Widget]):
         self._running: Run | None = None
         self._planes: Sequence[Plane] = ()
         self._closed = False
+        self._step = self._last_word = ""
         _panels.append(weakref.ref(self))
         self.run_button = PushButton(text=action)
         self.cancel_button = PushButton(text="Cancel", enabled=False)
@@ -76,7 +77,8 @@ class RunPanel(Container[Widget]):
         """Stop what runs; nothing is added to the viewer."""
         if self._running is not None:
             self._running.cancel()
-            self.status.value = "Cancelling"
+            self._step = self.status.value = "Cancelling"
+            self._last_word = "Cancelled"
 
     def _start(
         self,
@@ -113,13 +115,14 @@ class RunPanel(Container[Widget]):
         self.progress_bar.native.setValue(0)  # see `_on_progressed`
         self.progress_bar.visible = running
         if running:
-            self.status.value = "Starting"
+            self._last_word = self.status.value
+            self._step = self.status.value = "Starting"
 
     def _on_progressed(self, step: str, done: float) -> None:
         if not self._closed:
             # Its `value` would let Qt handle all events here and now.
             self.progress_bar.native.setValue(round(STEPS * done))
-            self.status.value = step
+            self._step = self.status.value = step
 
     def _on_returned(self, run: Run, take: Callable[[Any], Any], value: Any) -> None:
         if self._closed:
@@ -145,7 +148,8 @@ class RunPanel(Container[Widget]):
 
     def _on_refused(self, reason: str) -> None:
         if not self._closed and self._planes:
-            show_error(f"Cannot analyse “{self._planes[0].name}”: {reason}")
+            self._last_word = f"Cannot analyse “{self._planes[0].name}”: {reason}"
+            show_error(self._last_word)
 
     def _on_finished(self) -> None:
         self._running = None
@@ -153,6 +157,8 @@ class RunPanel(Container[Widget]):
             self._leave()
             return
         self._viewer.layers.events.removed.disconnect(self._on_layer_removed)
+        if self.status.value == self._step:  # what is done no more
+            self.status.value = self._last_word
         self._show_running(False)
 
     def _on_layer_removed(self, event: Any) -> None:

@@ -3,7 +3,7 @@
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from magicgui.widgets import PushButton
 from napari.layers import Image
@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QGridLayout, QWidget
 
 from napari_defocus import Settings
 from napari_defocus.settings import MaskSettings
-from napari_defocus.widgets.map_files import open_map, save_map
+from napari_defocus.widgets.map_files import TIFF_ENDINGS, open_map, save_map
 from napari_defocus.widgets.region_table import wanted_regions
 from napari_defocus.widgets.relief import hide_relief, show_made_relief, wanted_relief
 from napari_defocus.widgets.results import (
@@ -25,6 +25,8 @@ from napari_defocus.widgets.workers import Run
 
 if TYPE_CHECKING:
     from napari_defocus.widgets.panel import DefocusPanel
+
+T = TypeVar("T")
 
 PROBE, FOCUS_CURVE, FEATURES = "Probe", "Focus curve", "Features table widget"
 
@@ -208,15 +210,16 @@ class Tools:
             return
         if path is None:
             path = self._asked_to_save(f"{image.name}-blur.tif", "Blur maps (*.tif *.tiff)")
-            force = True
+            # The dialog knows nothing of an ending that the name gets in `save_map`.
+            force = path is not None and path.suffix.lower() in TIFF_ENDINGS
         if path is not None:
-            self._try(lambda: save_map(layer, path, force=force), f"Saved {path.name}")
+            self._try(lambda: save_map(layer, path, force=force), lambda file: f"Saved {file.name}")
 
     def open_saved(self, path: Path | None = None) -> None:
         """Open a saved blur map; without a path, a dialog asks for it."""
         path = path or self._asked_to_open("Blur maps (*.tif *.tiff)")
         if path is not None:
-            self._try(lambda: open_map(self._viewer, path), f"Opened {path.name}")
+            self._try(lambda: open_map(self._viewer, path), lambda _: f"Opened {path.name}")
 
     def save(self, path: Path | None = None, *, overwrite: bool = False) -> None:
         """Save the form's settings, as `save_blur_map` saves the map."""
@@ -226,7 +229,9 @@ class Tools:
         if path is None:
             path, overwrite = self._asked_to_save("defocus.json", "Settings (*.json)"), True
         if path is not None:
-            self._try(lambda: settings.save(path, overwrite=overwrite), f"Saved {path.name}")
+            self._try(
+                lambda: settings.save(path, overwrite=overwrite), lambda _: f"Saved {path.name}"
+            )
 
     def _settings(self) -> Settings:
         form = self._panel.settings
@@ -236,18 +241,18 @@ class Tools:
         """Fill the form with settings from a file; without a path, a dialog asks for it."""
         path = path or self._asked_to_open("Settings (*.json)")
         if path is not None:
-            self._try(lambda: self._take(Settings.load(path)), f"Settings of {path.name}")
+            self._try(lambda: self._take(Settings.load(path)), lambda _: f"Settings of {path.name}")
 
     def _take(self, settings: Settings) -> None:
         self._panel.settings.take(settings.map, settings.mask)
 
-    def _try(self, work: Callable[[], Any], said: str) -> None:
+    def _try(self, work: Callable[[], T], said: Callable[[T], str]) -> None:
         try:
-            work()
+            done = work()
         except (OSError, ValueError, TypeError) as reason:
             show_error(str(reason))
         else:
-            self._panel.status.value = said
+            self._panel.status.value = said(done)
 
     def _asked_to_save(self, suggested: str, kind: str) -> Path | None:
         chosen, _ = QFileDialog.getSaveFileName(self._panel.native, "Save", suggested, kind)
