@@ -57,9 +57,8 @@ def test_it_tells_a_first_time_user_what_to_do(opened):
 
 
 def test_what_is_done_no_more_is_not_said(measured, finished):
-    said = measured.status.value
     finished(measured.tools.add_regions())
-    assert measured.status.value == said
+    assert measured.status.value == "Nothing is in focus."
 
 
 def test_every_button_explains_itself(opened):
@@ -121,9 +120,38 @@ def test_earlier_results_stay_if_that_is_wanted(viewer, measured, finish):
     measured.keep_earlier.value = True
     measured.settings.max_radius.value = 6.0
     finish(measured)
-    assert {"leaf blur (px)", "leaf blur (px) 2", "leaf in focus 2"} <= set(names(viewer))
+    expected = {"leaf blur (px)", "leaf blur (px) 2", "leaf confidence 2", "leaf in focus 2"}
+    assert expected <= set(names(viewer))
     np.testing.assert_array_equal(viewer.layers["leaf blur (px)"].data, before)
     assert tuple(viewer.layers["leaf blur (px) 2"].contrast_limits) == (0.0, 6.0)
+
+
+def test_results_go_with_a_picture_that_is_renamed(viewer, measured, finish, qtbot, method):
+    viewer.layers["leaf"].name = "oak"
+    made = ["oak blur (px)", "oak confidence", "oak in focus", "oak not trusted"]
+    assert names(viewer) == ["oak", *made]
+    measured.settings.threshold.value = 3.0
+    qtbot.waitUntil(lambda: viewer.layers["oak in focus"].data.min() == 1)
+    finish(measured)
+    assert names(viewer) == ["oak", *made]
+    assert len(method.estimations) == 1
+
+
+def test_what_does_not_follow_says_which_button_to_press(viewer, measured, method):
+    measured.region.value = "whole"
+    measured.settings.max_radius.value = 6.0
+    measured.settings.threshold.value = 3.0
+    assert "Press “Measure”" in measured.status.value
+
+
+def test_nothing_to_be_known_is_said(viewer, measured, finish, method, monkeypatch):
+    def unsure(candidates, blur_map):
+        return np.zeros(blur_map.shape, np.float32)
+
+    monkeypatch.setitem(vars(napari_defocus), "confidence_map", unsure)
+    measured.settings.max_radius.value = 6.0
+    finish(measured)
+    assert "Nothing can be known here" in measured.status.value
 
 
 def test_a_run_on_all_planes_gives_stacks_and_then_one_plane_is_renewed(
@@ -136,7 +164,12 @@ def test_a_run_on_all_planes_gives_stacks_and_then_one_plane_is_renewed(
     maps = viewer.layers["stack blur (px)"]
     assert maps.data.shape == (3, *texture.shape)
     assert len(method.estimations) == 3
+    widget.settings.threshold.value = 3.0
+    assert "Press “Measure”" in widget.status.value, "not all planes at every move"
     widget.planes.value = "shown"
+    widget.settings.threshold.value = 3.5
+    masks = viewer.layers["stack in focus"]
+    qtbot.waitUntil(lambda: [plane.max() for plane in masks.data] == [0, 1, 0])
     viewer.dims.set_current_step(0, 2)
     method.radius = 5.0
     finish(widget)

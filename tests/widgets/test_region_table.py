@@ -89,7 +89,7 @@ def test_without_a_mask_the_message_says_what_to_run(viewer, image, messages):
     assert add_regions(viewer, image) is None
     [told] = messages()
     assert "“photo” has no in-focus mask" in told
-    assert "Run “In focus”" in told
+    assert "run “In focus”" in told
     assert len(viewer.layers) == 1
 
 
@@ -98,7 +98,7 @@ def test_without_a_map_there_are_areas_and_a_word_about_it(viewer, image, messag
     layer = add_regions(viewer, image)
     assert layer.features["area_px"].tolist()[1:] == [900, 400]
     assert "blur_median_px" not in layer.features
-    assert "run “Blur map” on “photo” first" in messages()[0]
+    assert "measure “photo” first" in messages()[0]
 
 
 def test_without_a_confidence_there_are_radii_and_a_word_about_it(viewer, image, messages):

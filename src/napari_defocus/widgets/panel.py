@@ -134,7 +134,7 @@ class DefocusPanel(ImagePanel):
         self.image.changed.connect(lambda _: self.comparison.forget())
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
         for field in self.settings.weights():
-            field.number.changed.connect(lambda _: self.update_labels())
+            field.number.changed.connect(lambda _: self.update_labels(ask=True))
         self.live.changed.connect(lambda _: self.update_labels())
         # napari may tell of a stroke before it is on the layer.
         self._seeds_watch = SeedsWatch(lambda: QTimer.singleShot(0, lambda: self._on_stroke()))
@@ -197,21 +197,28 @@ class DefocusPanel(ImagePanel):
         if not self._closed:
             self.update_labels()
 
-    def update_labels(self) -> None:
+    def update_labels(self, *, ask: bool = False) -> None:
         """Label again what was measured, if the form asks for other labels than those shown.
 
         Nothing happens while something runs, or if the picture has to be measured first.
+
+        Parameters
+        ----------
+        ask : bool, optional
+            Whether to say so then, if there are results that do not follow.
         """
         if not self.live.value or self._running is not None or self.image.value is None:
             return
         if self.planes.all_planes:
-            return  # that is worth a press on the button
+            self._ask_to_run(ask)
+            return
         try:
             analysis = self.analysis()
         except ValueError:
             return  # somebody is still typing
         analysed = self.kept.analysed.latest(self.image.value)
         if analysed is None or not analysis.fits(analysed):
+            self._ask_to_run(ask)
             return
         changed = self._shown.changed(analysed, analysis)
         if changed is not None:
@@ -219,6 +226,10 @@ class DefocusPanel(ImagePanel):
             self._live_labels.want(analysed, changed)
         elif self._live_labels.is_busy:
             self._live_labels.stop()
+
+    def _ask_to_run(self, ask: bool) -> None:
+        if ask and self._last_word:
+            self.status.value = f"Press “{self.run_button.text}” to apply what was changed."
 
     def _show_live(
         self, results: list[LayerDataTuple], analysed: Analysed, analysis: Analysis, whole: bool
@@ -241,17 +252,18 @@ class DefocusPanel(ImagePanel):
         if analysis is None:
             return None
         self._live_labels.stop()
-        keep = [self.keep_earlier.value]  # until there is something of this run
+        keep = bool(self.keep_earlier.value)
 
         def take(results: list[LayerDataTuple], whole: bool) -> Iterator[Layer]:
-            return self._show_results(results, analysis, whole, bool(keep and keep.pop()))
+            return self._show_results(results, analysis, whole, keep)
 
         return self._start(
             partial(analysis.run, self.kept),
             lambda results: take(results, whole=True),
             [analysis.plane],
             f"Defocus of {analysis.plane.name}",
-            take_preview=lambda results: take(results, whole=False),
+            # A rough map beside earlier ones would get a confidence in the place of theirs.
+            take_preview=None if keep else lambda results: take(results, whole=False),
         )
 
     def _run_stack(self) -> Run | None:
@@ -262,16 +274,23 @@ class DefocusPanel(ImagePanel):
         keep = self.keep_earlier.value
         return self._start(
             partial(analysis.run, self.kept),
-            lambda results: self._show_stack(results, keep),
+            lambda results: self._show_stack(results, analysis, keep),
             [analysis.plane],
             f"Defocus of all planes of {analysis.plane.name}",
         )
 
-    def _show_stack(self, results: Results, keep_earlier: bool) -> Iterator[Layer]:
-        if self._still_current():
-            yield from self._showing_below_brush(results.layers, keep_earlier)
-            self._on_min_confidence(self.settings.min_confidence.value)
-            self.status.value = results.summary
+    def _show_stack(
+        self, results: Results, analysis: StackAnalysis, keep_earlier: bool
+    ) -> Iterator[Layer]:
+        if not self._still_current():
+            return
+        yield from self._showing_below_brush(results.layers, keep_earlier)
+        self._on_min_confidence(self.settings.min_confidence.value)
+        self._last_word = self.status.value = results.summary
+        analysed = self.kept.analysed.latest(self.image.value)
+        if analysed is not None:
+            # The plane that was shown can follow the sliders.
+            self._shown.note(analysed, analysis.of_plane(analysis.plane))
 
     def compare(self) -> Run | None:
         """Start a comparison of lenses on the chosen image, and return it, like `run`."""
@@ -400,4 +419,6 @@ def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | N
     if confidence is not None:
         share = (confidence >= CONFIDENT).mean()
         lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
+        if share == 0:
+            lines.append("Nothing can be known here: it has no texture that tells of blur.")
     return "\n".join(lines)

@@ -42,7 +42,7 @@ OPACITY = 0.5
 
 NO_MASK = (
     "“{name}” has no in-focus mask here whose regions could be measured. "
-    "Run “In focus”, or “Blur map and in focus”, first."
+    "Measure it first, or run “In focus”."
 )
 TABLE_HINT = "Their table is in the menu Layers > Metadata > Features table widget."
 
@@ -197,7 +197,7 @@ def _counted(table: RegionTable) -> str:
 
 def _missing(name: str, maps: dict[str, Any]) -> list[str]:
     if maps[BLUR_MAP] is None:
-        return [f"It has no radii: run “Blur map” on “{name}” first to have them."]
+        return [f"It has no radii: measure “{name}” first to have them."]
     if maps[CONFIDENCE] is None:
         return [f"It does not say how sure it is: “{name}” has no confidence layer."]
     return []

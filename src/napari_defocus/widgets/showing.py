@@ -14,6 +14,7 @@ from napari.utils.transforms import Affine
 from numpy.typing import NDArray
 
 from napari_defocus.widgets.cursor_text import tell_under_cursor
+from napari_defocus.widgets.renaming import rename_with
 from napari_defocus.widgets.results import (
     AT,
     BLUR_MAP,
@@ -88,7 +89,15 @@ def showing_results(
         results = _with_free_names(viewer.layers, results)
     for result in results:
         yield from _showing(viewer, *result)
+    _follow_names(viewer, results)
     tell_under_cursor(viewer)
+
+
+def _follow_names(viewer: ViewerModel, results: list[LayerDataTuple]) -> None:
+    sources = {keywords["metadata"][METADATA_KEY].get("source") for _, keywords, _ in results}
+    for layer in viewer.layers:
+        if layer.name in sources and made_by_us(layer) is None:
+            rename_with(viewer, layer)
 
 
 def _of_run(result: LayerDataTuple, run: int) -> LayerDataTuple:

@@ -64,7 +64,7 @@ class StackAnalysis:
 
     def __post_init__(self) -> None:
         """Refuse, before any work is done, impossible settings, seeds, and too much of all."""
-        self._of_plane(self.plane)
+        self.of_plane(self.plane)
         size = sum(np.dtype(dtype).itemsize for dtype in self._dtypes().values())
         size *= int(np.prod(self.shape))
         if size > MOST_BYTES:
@@ -118,7 +118,7 @@ class StackAnalysis:
             reported = _of_one(progress, number, len(positions))
             reported("Reading the picture", 0.0)
             try:
-                layers = self._of_plane(plane).run(memory, reported)
+                layers = self.of_plane(plane).run(memory, reported)
             except ValueError as reason:
                 found.refused[position] = str(reason)
             else:
@@ -127,7 +127,8 @@ class StackAnalysis:
             raise NotAnalysableError(next(iter(found.refused.values())))
         return Results(self._layers(found), self._summary(found))
 
-    def _of_plane(self, plane: Plane) -> Analysis:
+    def of_plane(self, plane: Plane) -> Analysis:
+        """Return what is wanted of one plane."""
         return Analysis(
             plane=plane,
             estimation=self.estimation,
