@@ -1,6 +1,5 @@
 """Results put into a viewer, in place or beside earlier ones: no Qt."""
 
-import gc
 import re
 from collections.abc import Iterator
 from itertools import count
@@ -163,8 +162,6 @@ def prepare_napari() -> None:
     import napari_defocus.candidates  # noqa: F401
 
     Labels(np.zeros((2, 2), np.uint8), features={"index": [0, 1]})
-    # Python would look through all that is new here later, when the window is in use.
-    gc.collect()
 
 
 def _is(now: Any, wanted: Any) -> bool:
