@@ -68,12 +68,12 @@ def test_every_button_explains_itself(opened):
             assert len(button.tooltip) > 30
 
 
-def test_planes_are_asked_for_in_stacks_only(window, docked, texture):
-    window.add_image(texture, name="leaf")
-    window.add_image(np.stack([texture] * 3), name="stack")
-    widget = docked(DefocusWidget)
+def test_planes_are_asked_for_in_stacks_only(viewer, opened, texture):
+    viewer.add_image(texture, name="leaf")
+    viewer.add_image(np.stack([texture] * 3), name="stack")
+    widget = opened(DefocusWidget)
     for name, shown in [("leaf", False), ("stack", True), ("leaf", False)]:
-        widget.image.value = window.layers[name]
+        widget.image.value = viewer.layers[name]
         assert widget.planes.native.isHidden() != shown
         assert widget.tools.curve.enabled == shown
 

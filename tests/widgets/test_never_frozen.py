@@ -59,13 +59,12 @@ def test_nothing_stops_the_window_while_a_megapixel_is_estimated_labelled_and_cu
         pass
     # From here on there are layers, which napari does not have to make anew: the first of each
     # kind cost it 0.1 to 0.3 s, whoever adds them.
-    longest = {"a run": [], "the threshold": [], "the smoothness": []}
+    longest = {"a run": [], "the threshold": []}
     for attempt in range(3):
         qtbot.waitUntil(lambda: settled(widget), timeout=60_000)
         qtbot.wait(500)
         for name, change in {
             "the threshold": lambda n: setattr(widget.settings.threshold, "value", 1.5 + n),
-            "the smoothness": lambda n: setattr(widget.settings.map_smoothness, "value", 30.0 + n),
             "a run": lambda n: setattr(widget.settings.max_radius, "value", 7.0 - n / 2),
         }.items():
             if longest[name] and min(longest[name]) < LONGEST:

@@ -34,21 +34,21 @@ def names(viewer):
         ),
     ],
 )
-def test_widget_makes_its_layers(window, docked, finish, method, texture, widget_class, made):
-    window.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
-    finish(docked(widget_class))
-    assert names(window) == ["leaf", *made]
-    for layer in list(window.layers)[1:]:
+def test_widget_makes_its_layers(viewer, opened, finish, method, texture, widget_class, made):
+    viewer.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
+    finish(opened(widget_class))
+    assert names(viewer) == ["leaf", *made]
+    for layer in list(viewer.layers)[1:]:
         assert tuple(layer.scale) == (2, 3)
         assert [str(unit) for unit in layer.units] == ["micrometer", "micrometer"]
         assert layer.axis_labels == ("y", "x")
         assert layer.metadata["napari_defocus"]["noise_variance"] == method.noise_variance
 
 
-def test_colour_bar_of_the_map_is_shown(window, docked, finish, method, texture):
-    window.add_image(texture, name="leaf")
-    finish(docked(MapAndMaskWidget))
-    blur_map = window.layers["leaf blur (px)"]
+def test_colour_bar_of_the_map_is_shown(viewer, opened, finish, method, texture):
+    viewer.add_image(texture, name="leaf")
+    finish(opened(MapAndMaskWidget))
+    blur_map = viewer.layers["leaf blur (px)"]
     assert blur_map.colorbar.visible
     assert tuple(blur_map.contrast_limits) == (0.0, 8.0)
 
@@ -159,8 +159,8 @@ def test_nothing_is_covered_if_it_is_not_wanted(viewer, opened, finish, method, 
     assert "leaf not trusted" not in names(viewer)
 
 
-def test_only_the_fields_that_the_lens_needs_are_shown(window, docked):
-    lens = docked(BlurMapWidget).settings.lens
+def test_only_the_fields_that_the_lens_needs_are_shown(viewer, opened):
+    lens = opened(BlurMapWidget).settings.lens
     for name, needed in {
         "disc": [],
         "polygon": [lens.blades, lens.rotation],
@@ -174,8 +174,8 @@ def test_only_the_fields_that_the_lens_needs_are_shown(window, docked):
         assert shown == needed
 
 
-def test_more_settings_are_hidden_until_they_are_asked_for(window, docked):
-    settings = docked(MapAndMaskWidget).settings
+def test_more_settings_are_hidden_until_they_are_asked_for(viewer, opened):
+    settings = opened(MapAndMaskWidget).settings
     for shown in (False, True, False):
         hidden = {field.native.isHidden() for field in settings.more_fields()}
         assert hidden == {not shown}
@@ -454,12 +454,12 @@ def test_defect_of_the_method_is_reported_once_and_the_widget_goes_on(
 
 
 def test_active_image_is_chosen_and_results_are_not_offered(
-    window, docked, finish, method, texture
+    viewer, opened, finish, method, texture
 ):
-    window.add_image(texture, name="first")
-    window.add_image(texture, name="second")
-    window.layers.selection.active = window.layers["second"]
-    widget = docked(BlurMapWidget)
+    viewer.add_image(texture, name="first")
+    viewer.add_image(texture, name="second")
+    viewer.layers.selection.active = viewer.layers["second"]
+    widget = opened(BlurMapWidget)
     assert widget.image.value.name == "second"
     finish(widget)
     assert [layer.name for layer in widget.image.choices] == ["first", "second"]
