@@ -18,9 +18,7 @@ from napari_defocus.widgets.result_layers import (
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 
 
 def main():

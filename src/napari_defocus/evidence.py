@@ -27,6 +27,9 @@ from napari_defocus.image import PreparedImage
 
 Float32 = NDArray[np.float32]
 
+CARRIED_IN = 0.5
+"""Below this share of evidence, a map is counted as carried in from around."""
+
 _DETAIL = 1.0
 """Standard deviation, in px, of the Gaussian that leaves no fine details."""
 
@@ -54,18 +57,34 @@ def on_own_side(candidates: BlurCandidates, picture: PreparedImage) -> BlurCandi
     picture : PreparedImage
         The same.
     """
-    if candidates.mode == "paper":
+    row, column = asked_windows(candidates, picture)
+    rows, columns = np.indices(row.shape)
+    moved = (row != rows) | (column != columns)
+    if not moved.any():
         return candidates
+    own = candidates.curve.copy()
+    own[moved] = candidates.curve[row[moved], column[moved]]
+    return replace(candidates, curve=own)
+
+
+def asked_windows(
+    candidates: BlurCandidates, picture: PreparedImage
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the row and the column of the window whose curve each place takes: (R, C) each.
+
+    Its own, but where that is sharp only because of what lies beside it; see `on_own_side`.
+    """
     curve = candidates.curve
-    rows, columns = np.indices(curve.shape[:2])
+    places = np.indices(curve.shape[:2])
+    rows, columns = places[0], places[1]
+    if candidates.mode == "paper":
+        return rows, columns
     row_shift, column_shift = _shifts(candidates, picture)
     row = np.clip(np.rint(rows + row_shift), 0, curve.shape[0] - 1).astype(int)
     column = np.clip(np.rint(columns + column_shift), 0, curve.shape[1] - 1).astype(int)
     best = candidates.scales[curve.argmax(axis=2)]
     blurrier = best[row, column] > _LEAST_RATIO * best + _LEAST_STEP
-    own = curve.copy()
-    own[blurrier] = curve[row[blurrier], column[blurrier]]
-    return replace(candidates, curve=own)
+    return np.where(blurrier, row, rows), np.where(blurrier, column, columns)
 
 
 def _shifts(candidates: BlurCandidates, picture: PreparedImage) -> Float32:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.candidates import BlurCandidates, check_place
 from napari_defocus.confidence import TOLERANCE
-from napari_defocus.evidence import evidence_share, on_own_side
+from napari_defocus.evidence import CARRIED_IN, asked_windows, evidence_share
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.spectrum import LABEL_STEP
 
@@ -27,9 +27,6 @@ FLOOR = -20.0
 
 _NEARLY = 1.0
 """Maxima that differ by less, in log p(r), are nearly as likely: by a factor of 2.7."""
-
-_EVIDENCE = 0.5
-"""Below it the labelling counts a map as carried in."""
 
 _NEIGHBORS = 32
 _DETAILS = 8
@@ -98,7 +95,7 @@ class PixelExplanation:
     @property
     def carried_in(self) -> bool:
         """Whether there is too little texture to know, and a map has its value from around."""
-        return self.evidence < _EVIDENCE or not len(self.radii)
+        return self.evidence < CARRIED_IN or not len(self.radii)
 
     def __str__(self) -> str:
         return "\n".join([self.summary(), *self.remarks()])
@@ -341,14 +338,13 @@ def _own_side(
     # It smooths over 0.7 sides of a window, takes a slope, and moves by half a side at most.
     around, first = _around(candidates, place, math.ceil(candidates.window / candidates.stride) + 2)
     at = place[0] - first[0], place[1] - first[1]
-    curve = on_own_side(*_with_picture(around, array, intensity_range)).curve[at]
-    if np.array_equal(curve, around.curve[at]):
+    asked = asked_windows(*_with_picture(around, array, intensity_range))
+    row, column = (int(index[at]) for index in asked)
+    if (row, column) == at:
         return None
-    # Windows with the very same curve are one, moved inside from beyond the border.
-    same = np.argwhere((around.curve == curve).all(axis=2))
-    row, column = same[np.hypot(*(same - at).T).argmin()]
+    curve = around.curve[row, column].astype(np.float64)
     taken = around.row_centers[row], around.column_centers[column]
-    return curve.astype(np.float64) - curve.max(), candidates.window_at(*taken)
+    return curve - curve.max(), candidates.window_at(*taken)
 
 
 def _around(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.boundaries import energy_of_pixels, interpolate_labels, label_pixels
 from napari_defocus.candidates import BlurCandidates, estimate_candidates
 from napari_defocus.confidence import checked_map, confidence_and_caution
-from napari_defocus.evidence import evidence_share
+from napari_defocus.evidence import CARRIED_IN, evidence_share
 from napari_defocus.graphcut import expand_until_settled, minimize_energy
 from napari_defocus.noise import ShotNoise
 from napari_defocus.progress import Progress, silent, within
@@ -38,7 +38,6 @@ CURVE_WEIGHT = np.float32(24)
 """Of the curves' depth as data term, against the penalty (15)."""
 
 _LEAST_SMOOTHNESS = 1e-12
-_CARRIED_IN = 0.5
 
 
 @overload
@@ -142,7 +141,7 @@ def label_blur_map(
     )
     if not return_carried_in:
         return blur_map
-    return blur_map, scene.blocks.spread(evidence_share(scene.own) < _CARRIED_IN)
+    return blur_map, scene.blocks.spread(evidence_share(scene.own) < CARRIED_IN)
 
 
 def blur_map_of_scene(

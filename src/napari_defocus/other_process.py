@@ -285,21 +285,6 @@ def _keep_one(helper: _Helper, lane: str) -> None:
             helper.end()
 
 
-def prepare_elsewhere(function: Callable[..., Any], *args: Any) -> None:
-    """Run a function in another process without waiting for it: the next call finds it ready.
-
-    Parameters
-    ----------
-    function : callable
-        As for `run_elsewhere`: something that loads what the next call needs.
-    *args
-        Its other arguments.
-    """
-    with _lock:
-        if not _all:
-            threading.Thread(target=run_elsewhere, args=(function, *args), daemon=True).start()
-
-
 def end_idle() -> None:
     """End the processes that wait for the next call."""
     with _lock:

@@ -12,10 +12,7 @@ from napari_defocus.widgets.blur_map import BlurMapWidget
 from napari_defocus.widgets.calibrate import CalibrateWidget
 from napari_defocus.widgets.calibration import Calibration, numbers, planes_of
 from napari_defocus.widgets.layers import NotAnalysableError
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-    made_by_us,
-)
+from napari_defocus.widgets.results import METADATA_KEY, made_by_us
 
 RING = Annulus(0.4)
 

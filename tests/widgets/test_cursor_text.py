@@ -13,12 +13,8 @@ from napari_defocus.widgets.result_layers import (
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.results import METADATA_KEY
+from napari_defocus.widgets.showing import show_results
 
 RADIUS, SURE = 3.21, 0.94
 

@@ -11,12 +11,8 @@ from napari_defocus.widgets.distances import Distances
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import shown_plane
 from napari_defocus.widgets.map_source import EstimatedSource, source_of_layer
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.results import METADATA_KEY
+from napari_defocus.widgets.showing import show_results
 
 LENS = ThinLens(focal_length_mm=50, f_number=2, focus_distance_m=2, pixel_pitch_um=50)
 PLACED = {

@@ -13,9 +13,7 @@ from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import shown_plane
 from napari_defocus.widgets.planes_field import PlanesField
 from napari_defocus.widgets.region_field import RegionField
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 from napari_defocus.widgets.stack_analysis import StackAnalysis
 
 pytestmark = pytest.mark.display

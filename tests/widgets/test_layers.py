@@ -14,15 +14,8 @@ from napari_defocus.widgets.result_layers import (
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.results import (
-    BLUR_MAP,
-    METADATA_KEY,
-    layer_of_result,
-    made_by_us,
-)
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY, layer_of_result, made_by_us
+from napari_defocus.widgets.showing import show_results
 
 PLACED = {
     "scale": (0.5, 0.25),
@@ -156,10 +149,18 @@ def test_results_are_no_pictures_to_analyse(viewer, texture):
 
 
 def test_mask_colours_what_is_in_focus_and_nothing_else(viewer, texture):
-    _, mask = show_results(viewer, results_of(plane_of(viewer.add_image(texture), viewer)))
+    _, result = results_of(plane_of(viewer.add_image(texture), viewer))
+    [mask] = show_results(viewer, [result])
     assert isinstance(mask, Labels)
     np.testing.assert_array_equal(mask.colormap.map(np.array([0, 1]))[:, 3], [0, 1])
     assert 0.2 <= mask.opacity <= 0.6
+    assert mask.contour == 0
+
+
+def test_mask_on_a_map_is_an_outline(viewer, texture):
+    _, mask = show_results(viewer, results_of(plane_of(viewer.add_image(texture), viewer)))
+    assert mask.contour > 0
+    assert mask.opacity == 1
 
 
 def test_results_say_how_they_were_made(viewer, texture):

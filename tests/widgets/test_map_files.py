@@ -28,18 +28,11 @@ from napari_defocus.widgets.map_files import (
     open_map,
     read_map,
     save_map,
-    save_mask,
 )
 from napari_defocus.widgets.map_source import may_be_map_of, settings_of_map, source_of_layer
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.results import (
-    BLUR_MAP,
-    METADATA_KEY,
-    made_by_us,
-)
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY, made_by_us
+from napari_defocus.widgets.showing import show_results
 
 MANIFEST = PluginManifest.from_file(Path(napari_defocus.__file__).with_name("napari.yaml"))
 SETTINGS = MapSettings(smoothness=5.0, max_radius=6.0)
@@ -291,16 +284,6 @@ def test_name_that_gets_an_ending_in_the_dialog_overwrites_nothing(tmp_path, plu
 def test_picture_with_labels_is_not_offered_as_a_map(plugins, measured):
     offered, _ = _npe2.file_extensions_string_for_layers([measured[0], measured[3]])
     assert "Defocus" not in offered
-
-
-def test_mask_is_saved_as_the_terminal_saves_it(tmp_path, measured):
-    path = save_mask(measured[3], tmp_path / "photo")
-    assert path == tmp_path / "photo-mask.png"
-    np.testing.assert_array_equal(np.asarray(Picture.open(path)), 255 * measured[3].data)
-    with pytest.raises(OSError, match="it exists already"):
-        save_mask(measured[3], path)
-    with pytest.raises(NotAMapError, match="“Labels” is no in-focus mask"):
-        save_mask(Labels(np.zeros((4, 4), int)), tmp_path / "a.png")
 
 
 # The terminal.

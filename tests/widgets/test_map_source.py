@@ -14,9 +14,7 @@ from napari_defocus.widgets.map_source import (
     source_of_layer,
 )
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 
 
 @pytest.fixture

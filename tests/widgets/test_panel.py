@@ -10,9 +10,7 @@ from napari_defocus.widgets.blur_map import BlurMapWidget
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.in_focus import InFocusWidget
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 
 pytestmark = pytest.mark.display
 

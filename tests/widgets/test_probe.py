@@ -30,9 +30,7 @@ from napari_defocus.widgets.probing import (
     probed,
 )
 from napari_defocus.widgets.result_layers import blur_map_layer
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 from napari_defocus.widgets.window_outline import WindowOutline
 
 SIDE = 120

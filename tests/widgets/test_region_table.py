@@ -7,9 +7,7 @@ from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.layers import shown_plane
 from napari_defocus.widgets.region_table import add_regions
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 
 
 def squares(shape):

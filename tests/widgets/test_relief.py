@@ -9,12 +9,8 @@ from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.layers import shown_plane
 from napari_defocus.widgets.relief import hide_relief, show_relief
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.results import METADATA_KEY
+from napari_defocus.widgets.showing import show_results
 
 PLACED = {
     "scale": (0.5, 0.25),

@@ -10,12 +10,8 @@ from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
 from napari_defocus.widgets.map_source import EstimatedSource, source_of_layer
 from napari_defocus.widgets.restored import Refocusing, Restoration
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.results import METADATA_KEY
+from napari_defocus.widgets.showing import show_results
 
 PLACED = {
     "scale": (0.5, 0.25),

@@ -29,9 +29,7 @@ from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import plane_at
 from napari_defocus.widgets.map_source import EstimatedSource, LayerSource
 from napari_defocus.widgets.restored import Refocusing, Restoration
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
+from napari_defocus.widgets.results import METADATA_KEY
 from napari_defocus.widgets.samples import dandelion, simulated_ramp
 from napari_defocus.widgets.script import script_of
 from napari_defocus.widgets.script_text import text_literal

@@ -5,9 +5,7 @@ from napari.components import ViewerModel
 
 from napari_defocus.widgets.layers import shown_plane
 from napari_defocus.widgets.result_layers import MASK_COLOR
-from napari_defocus.widgets.results import (
-    made_by_us,
-)
+from napari_defocus.widgets.results import made_by_us
 from napari_defocus.widgets.seeds import SEEDS, add_seeds_layer, shown_seeds
 
 PLACED = {

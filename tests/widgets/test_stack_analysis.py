@@ -12,14 +12,9 @@ from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
 from napari_defocus.widgets.map_source import source_of_layer
 from napari_defocus.widgets.region import plane_in, region_of
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-    PLANES,
-)
+from napari_defocus.widgets.results import METADATA_KEY, PLANES
 from napari_defocus.widgets.seeds import add_seeds_layer
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 from napari_defocus.widgets.stack_analysis import StackAnalysis
 
 PLACED = {"scale": (5, 0.5, 0.25), "translate": (10, 1, 2), "rotate": (0, 0, 20)}

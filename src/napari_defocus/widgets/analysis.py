@@ -26,13 +26,12 @@ from napari_defocus.widgets.estimation import (
     estimated_map,
     same_candidates,
     segmented,
+    weights_of,
 )
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
+from napari_defocus.widgets.results import METADATA_KEY
 from napari_defocus.widgets.seeds import Seeds
 
 if TYPE_CHECKING:
@@ -132,22 +131,21 @@ class Analysis:
         common: dict[str, Any] = {"lane": lane, "progress": progress}
         if self.blur_map:
             settings = self.estimation
-            weights: dict[str, Any] = {
-                "smoothness": settings.smoothness,
-                "color_sigma": settings.color_sigma,
-            }
+            weights = weights_of(settings)
             values = analysed.on_scene(preview_of_blur_map, **weights, **common)
             used = settings, analysed.candidates.noise_variance
             layers.append(blur_map_layer(self.plane, values, *used, analysed.candidates.psf))
         if self.mask is not None:
-            seeds = self.seeds.values if self.seeds else None
-            mask = analysed.on_scene(
-                mask_of_scene, **asdict(self.mask), seeds=seeds, preview=True, **common
-            )
+            keywords = {**asdict(self.mask), "seeds": self._seeds, **common}
+            mask = analysed.on_scene(mask_of_scene, preview=True, **keywords)
             layers.append(self._mask_layer(analysed, mask))
         for _, keywords, _ in layers:
             keywords["metadata"][METADATA_KEY]["preview"] = True
         return layers
+
+    @property
+    def _seeds(self) -> NDArray[np.integer] | None:
+        return self.seeds.values if self.seeds else None
 
     def _map_layers(
         self, analysed: Analysed, kept: KeptWork, progress: Progress
@@ -165,15 +163,13 @@ class Analysis:
         self, analysed: Analysed, kept: KeptWork, progress: Progress
     ) -> list[LayerDataTuple]:
         assert self.mask is not None
-        seeds = self.seeds.values if self.seeds else None
-        return [self._mask_layer(analysed, segmented(analysed, self.mask, seeds, progress))]
+        return [self._mask_layer(analysed, segmented(analysed, self.mask, self._seeds, progress))]
 
     def _mask_layer(self, analysed: Analysed, mask: NDArray[np.uint8]) -> LayerDataTuple:
         assert self.mask is not None
         used = self.mask, self.estimation, analysed.candidates.noise_variance
         seeds = self.seeds.name if self.seeds else None
-        counted = self.plane.counted(mask)
-        return in_focus_layer(self.plane, counted, *used, seeds, outlined=self.blur_map)
+        return in_focus_layer(self.plane, self.plane.counted(mask), *used, seeds)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,14 +12,9 @@ from napari.utils.notifications import show_warning
 
 from napari_defocus.widgets.calibration import Calibration, numbers, planes_of
 from napari_defocus.widgets.layers import NotAnalysableError, Plane
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-    made_by_us,
-)
+from napari_defocus.widgets.results import METADATA_KEY, made_by_us
 from napari_defocus.widgets.run_panel import RunPanel, wrap
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 from napari_defocus.widgets.workers import Run
 
 POINT_SOURCES = "none: point sources"

@@ -16,11 +16,7 @@ from napari_defocus.widgets.map_source import settings_of_map
 from napari_defocus.widgets.picker import ClickPicker, value_at
 from napari_defocus.widgets.restoration_form import RestorationForm
 from napari_defocus.widgets.restored import Refocusing, Restoration
-from napari_defocus.widgets.results import (
-    BLUR_MAP,
-    Results,
-    layer_of_result,
-)
+from napari_defocus.widgets.results import BLUR_MAP, Results, layer_of_result
 from napari_defocus.widgets.run_panel import wrap
 from napari_defocus.widgets.side_field import side_field, side_note
 from napari_defocus.widgets.slider_field import SliderField

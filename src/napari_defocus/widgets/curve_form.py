@@ -16,10 +16,7 @@ from napari_defocus.widgets.focus_stack import (
     may_have_curve,
     slider_names,
 )
-from napari_defocus.widgets.results import (
-    BLUR_MAP,
-    made_by_us,
-)
+from napari_defocus.widgets.results import BLUR_MAP, made_by_us
 
 
 class CurveForm:

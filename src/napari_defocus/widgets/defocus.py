@@ -5,21 +5,15 @@ from typing import Any
 from magicgui.widgets import PushButton, Widget
 from napari.components import ViewerModel
 from napari.layers import Image
-from napari.utils.notifications import show_warning
 
 from napari_defocus.widgets.depth_form import DepthForm
-from napari_defocus.widgets.layers import NotAnalysableError
 from napari_defocus.widgets.map_source import EstimatedSource
 from napari_defocus.widgets.pages import Pages
 from napari_defocus.widgets.panel import DefocusPanel
 from napari_defocus.widgets.restoration_form import RestorationForm
 from napari_defocus.widgets.restored import Restoration
-from napari_defocus.widgets.results import (
-    Results,
-)
-from napari_defocus.widgets.showing import (
-    showing_results,
-)
+from napari_defocus.widgets.results import Results
+from napari_defocus.widgets.showing import showing_results
 from napari_defocus.widgets.tools import Tools
 from napari_defocus.widgets.workers import Run
 
@@ -151,14 +145,9 @@ class DefocusWidget(DefocusPanel):
 
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
-        try:
-            size = None if self.image.value is None else self._shown_plane().whole_shape
-        except NotAnalysableError:
-            size = None
-        try:
-            self.status.value = self.depth.thin_lens.read(size)
-        except ValueError as reason:
-            show_warning(str(reason))
+        said = self.depth.read_lens(self._shown_plane)
+        if said is not None:
+            self.status.value = said
 
     def _restoration(self) -> Restoration:
         settings = self.settings

@@ -1,12 +1,10 @@
 """The widget that turns blur into distance."""
 
 from napari.components import ViewerModel
-from napari.utils.notifications import show_warning
 
 from napari_defocus.widgets.depth_form import DepthForm
 from napari_defocus.widgets.distances import Distances
 from napari_defocus.widgets.from_map_panel import FromMapPanel
-from napari_defocus.widgets.layers import NotAnalysableError
 
 
 class DepthWidget(FromMapPanel):
@@ -39,14 +37,9 @@ class DepthWidget(FromMapPanel):
 
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
-        try:
-            size = None if self.image.value is None else self._shown_plane().whole_shape
-        except NotAnalysableError:
-            size = None
-        try:
-            self.status.value = self.depth.thin_lens.read(size)
-        except ValueError as reason:
-            show_warning(str(reason))
+        said = self.depth.read_lens(self._shown_plane)
+        if said is not None:
+            self.status.value = said
 
     def work(self) -> Distances:
         """Return what the form asks for now, see `FromMapPanel.work`."""

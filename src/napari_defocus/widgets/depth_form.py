@@ -1,13 +1,15 @@
 """What distances need beside a blur map, as fields."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from magicgui.widgets import CheckBox, FloatSpinBox, Widget
+from napari.utils.notifications import show_warning
 
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.distances import Distances
-from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.layers import NotAnalysableError, Plane
 from napari_defocus.widgets.map_source import MapSource
 from napari_defocus.widgets.run_panel import wrap
 from napari_defocus.widgets.side_field import side_field, side_note
@@ -66,6 +68,29 @@ class DepthForm:
         if self.thin_lens.file.value in (None, self._offered):
             self.thin_lens.file.value = None if path is None else Path(path)
             self._offered = self.thin_lens.file.value
+
+    def read_lens(self, shown_plane: Callable[[], Plane]) -> str | None:
+        """Fill in what the photograph's file notes about its lens, and return what it does.
+
+        Parameters
+        ----------
+        shown_plane : callable
+            Returns the plane that is shown, of whose size the photograph should be.
+
+        Returns
+        -------
+        str or None
+            None, and a warning, if the file cannot be read.
+        """
+        try:
+            size = shown_plane().whole_shape
+        except NotAnalysableError:
+            size = None
+        try:
+            return self.thin_lens.read(size)
+        except ValueError as reason:
+            show_warning(str(reason))
+            return None
 
     def distances(self, plane: Plane, source: MapSource) -> Distances:
         """Return what the fields ask for.

@@ -18,12 +18,7 @@ from napari_defocus.widgets.estimation import Picture
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.map_source import BlurMap, MapSource
-from napari_defocus.widgets.results import (
-    DEPTH,
-    DEPTH_SURFACE,
-    Results,
-    provenance,
-)
+from napari_defocus.widgets.results import DEPTH, DEPTH_SURFACE, Results, provenance
 
 if TYPE_CHECKING:
     from napari_defocus import DepthSurface, ThinLens

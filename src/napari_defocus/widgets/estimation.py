@@ -194,9 +194,14 @@ def _candidates(picture: Picture, settings: MapSettings, progress: Progress) -> 
     )
 
 
+def weights_of(settings: MapSettings) -> dict[str, Any]:
+    """Return what labels candidates, as keywords of `label_blur_map`."""
+    return {"smoothness": settings.smoothness, "color_sigma": settings.color_sigma}
+
+
 def same_candidates(first: MapSettings, second: MapSettings) -> bool:
     """Tell whether settings differ at most in what labels candidates."""
-    alike = replace(first, smoothness=second.smoothness, color_sigma=second.color_sigma)
+    alike = replace(first, **weights_of(second))
     return alike == second and first.family() == second.family()
 
 
@@ -231,10 +236,7 @@ def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress)
     from napari_defocus import cautious_blur_map, confidence_map, label_blur_map
 
     candidates, picture = analysed.candidates, analysed.picture
-    weights: dict[str, Any] = {
-        "smoothness": settings.smoothness,
-        "color_sigma": settings.color_sigma,
-    }
+    weights = weights_of(settings)
     labelling = within(progress, 0.0, 0.8)
     measuring = "Measuring the confidence"
     if analysed.is_large:

@@ -19,13 +19,9 @@ from napari_defocus.widgets.map_source import (
     settings_of_map,
     source_of_layer,
 )
-from napari_defocus.widgets.results import (
-    Results,
-)
+from napari_defocus.widgets.results import Results
 from napari_defocus.widgets.settings_form import SettingsForm
-from napari_defocus.widgets.showing import (
-    showing_results,
-)
+from napari_defocus.widgets.showing import showing_results
 from napari_defocus.widgets.workers import Run
 
 ESTIMATE = "estimate it"

@@ -13,15 +13,9 @@ from napari.utils.notifications import show_info, show_warning
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, shown_plane
 from napari_defocus.widgets.region_field import RegionField
-from napari_defocus.widgets.results import (
-    MEASURED_PSF,
-    METADATA_KEY,
-    made_by_us,
-)
+from napari_defocus.widgets.results import MEASURED_PSF, METADATA_KEY, made_by_us
 from napari_defocus.widgets.run_panel import RunPanel
-from napari_defocus.widgets.showing import (
-    prepare_napari,
-)
+from napari_defocus.widgets.showing import prepare_napari
 
 T = TypeVar("T")
 
@@ -83,6 +77,8 @@ class ImagePanel(RunPanel):
         return measured[-1].metadata[METADATA_KEY]["file"] if measured else ""
 
     def _shown_plane(self) -> Plane:
+        if self.image.value is None:
+            raise NotAnalysableError("there is no image.")
         return self.region.part_of(shown_plane(self.image.value, self._viewer.dims))
 
     def _asked_for(self, work: Callable[[], T]) -> T | None:

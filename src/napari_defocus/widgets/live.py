@@ -18,7 +18,6 @@ SOON = 30
 AT_REST = 250
 """Milliseconds without a change after which the fine details of a large picture are worked out."""
 
-
 PREVIEWS = "previews"
 """The lane of the process that makes them: they do not wait for the results."""
 
@@ -75,12 +74,7 @@ class LiveLabels(QObject):
     def prepare(self, analysed: Analysed, analysis: Analysis) -> None:
         """Make the first preview as quick as the others will be."""
         if analysed.is_large and self._preview is None:
-            self._preview = self._start(
-                analysed,
-                analysis,
-                lambda progress: analysis.preview(analysed, progress, PREVIEWS),
-                whole=False,
-            )
+            self._preview = self._start_preview(analysed, analysis)
 
     def stop(self) -> None:
         """Want nothing any more."""
@@ -95,8 +89,10 @@ class LiveLabels(QObject):
     def _show_preview(self) -> None:
         if self._wanted is None or self._preview is not None:
             return
-        analysed, analysis = self._wanted
-        self._preview = self._start(
+        self._preview = self._start_preview(*self._wanted)
+
+    def _start_preview(self, analysed: Analysed, analysis: Analysis) -> Run:
+        return self._start(
             analysed,
             analysis,
             lambda progress: analysis.preview(analysed, progress, PREVIEWS),

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from napari.components import ViewerModel
-from napari.layers import Image, Labels, Layer
+from napari.layers import Image, Layer
 
 from napari_defocus.files import write_results
 from napari_defocus.results import (
@@ -22,7 +22,6 @@ from napari_defocus.results import (
     confidence_tiff,
     description_in_tiff,
     holds,
-    mask_png,
     values_in_tiff,
 )
 from napari_defocus.settings import MapSettings
@@ -30,10 +29,8 @@ from napari_defocus.widgets.result_layers import COLOR_MAP, CONFIDENCE_COLOR_MAP
 from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
-    IN_FOCUS,
     METADATA_KEY,
     PLACEMENT,
-    made_by_us,
 )
 
 PATTERNS = (
@@ -88,40 +85,6 @@ def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False)
     data = layer.as_layer_data_tuple()
     target = _named(Path(path), _result_of(data))
     write_results({target: _encoded(data)}, force=force)
-    return target
-
-
-def save_mask(layer: Labels, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-    """Save an in-focus mask as the PNG file that the terminal writes: white is in focus.
-
-    Parameters
-    ----------
-    layer : napari.layers.Labels
-        One of ours, of one plane.
-    path : path-like
-        A name without .png gets ``-mask.png``.
-    force : bool, optional
-        Whether a file that exists is overwritten.
-
-    Returns
-    -------
-    Path
-        The file that was written, whole or not at all.
-
-    Raises
-    ------
-    NotAMapError
-        If the layer is another one.
-    OSError
-        If the file cannot be written, or exists and `force` is not set.
-    """
-    mask = np.asarray(layer.data)
-    if made_by_us(layer) != IN_FOCUS or max(mask.shape[:-2], default=1) > 1:
-        raise NotAMapError(f"“{layer.name}” is no in-focus mask of one plane by this plugin.")
-    target = Path(path)
-    if target.suffix.lower() != ".png":
-        target = target.with_name(f"{target.name}-mask.png")
-    write_results({target: mask_png(mask.reshape(mask.shape[-2:]))}, force=force)
     return target
 
 

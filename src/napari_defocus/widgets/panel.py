@@ -38,17 +38,9 @@ from napari_defocus.widgets.results import (
     layer_of_result,
     made_by_us,
 )
-from napari_defocus.widgets.seeds import (
-    Seeds,
-    SeedsWatch,
-    add_seeds_layer,
-    shown_seeds,
-)
+from napari_defocus.widgets.seeds import Seeds, SeedsWatch, add_seeds_layer, shown_seeds
 from napari_defocus.widgets.settings_form import SettingsForm
-from napari_defocus.widgets.showing import (
-    show_results,
-    showing_results,
-)
+from napari_defocus.widgets.showing import show_results, showing_results
 from napari_defocus.widgets.shown_labels import ShownLabels
 from napari_defocus.widgets.stack_analysis import StackAnalysis
 from napari_defocus.widgets.workers import Run

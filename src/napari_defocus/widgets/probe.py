@@ -20,9 +20,7 @@ from napari_defocus.widgets.probing import (
     may_pin,
     probed,
 )
-from napari_defocus.widgets.results import (
-    made_by_us,
-)
+from napari_defocus.widgets.results import made_by_us
 from napari_defocus.widgets.run_panel import wrap
 from napari_defocus.widgets.window_outline import WindowOutline
 

@@ -12,10 +12,7 @@ from napari.layers import Image, Layer
 from numpy.typing import NDArray
 
 from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-    made_by_us,
-)
+from napari_defocus.widgets.results import METADATA_KEY, made_by_us
 
 if TYPE_CHECKING:
     from napari_defocus import PixelExplanation

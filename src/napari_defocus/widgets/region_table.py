@@ -31,9 +31,7 @@ from napari_defocus.widgets.results import (
     layer_of_result,
     provenance,
 )
-from napari_defocus.widgets.showing import (
-    show_results,
-)
+from napari_defocus.widgets.showing import show_results
 
 Measured = tuple[NDArray[np.int32], RegionTable, RegionTable]
 

@@ -18,13 +18,7 @@ from napari_defocus.widgets.distances import above, upright
 from napari_defocus.widgets.estimation import Picture
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, shown_plane
 from napari_defocus.widgets.map_source import confidence_of
-from napari_defocus.widgets.results import (
-    BLUR_MAP,
-    DEPTH,
-    RELIEF,
-    layer_of_result,
-    provenance,
-)
+from napari_defocus.widgets.results import BLUR_MAP, DEPTH, RELIEF, layer_of_result, provenance
 from napari_defocus.widgets.way_back import View, WayBack, show_alone, way_back
 
 HeightsFrom = Literal["blur", "depth"]

@@ -15,12 +15,7 @@ from napari_defocus.widgets.estimation import Picture
 from napari_defocus.widgets.kept import KeptWork, fingerprint
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.map_source import BlurMap, MapSource
-from napari_defocus.widgets.results import (
-    ALL_IN_FOCUS,
-    REFOCUSED,
-    Results,
-    provenance,
-)
+from napari_defocus.widgets.results import ALL_IN_FOCUS, REFOCUSED, Results, provenance
 
 Float32 = NDArray[np.float32]
 

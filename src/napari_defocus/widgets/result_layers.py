@@ -163,8 +163,6 @@ def in_focus_layer(
     estimation: MapSettings,
     noise_variance: float,
     seeds: str | None = None,
-    *,
-    outlined: bool = False,
 ) -> LayerDataTuple:
     """Return an in-focus mask as a labels layer that lies on the plane.
 
@@ -182,8 +180,6 @@ def in_focus_layer(
         The variance that was used, found or given; intensities in [0, 1].
     seeds : str, optional
         Name of the layer of its seeds.
-    outlined : bool, optional
-        Show its outline instead of its area: it lies on a map.
 
     Returns
     -------
@@ -192,14 +188,13 @@ def in_focus_layer(
     keywords = {
         "name": f"{plane.name} in focus",
         "colormap": fixed_colors({1: MASK_COLOR}),
-        "opacity": 1.0 if outlined else MASK_OPACITY,
+        "opacity": MASK_OPACITY,
         "metadata": provenance(
             plane,
             IN_FOCUS,
             {**asdict(estimation), **asdict(settings)},
             noise_variance=float(noise_variance),
             seeds=seeds,
-            outlined=outlined,
         ),
         **plane.placement,
     }

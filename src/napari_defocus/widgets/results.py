@@ -1,4 +1,4 @@
-"""Results in a viewer: how they say what made them, and how they get there.
+"""Results in a viewer: how they say what made them, and how they are found.
 
 No Qt here, as in `layers`.
 """

@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.result_layers import COLOR_MAP
-from napari_defocus.widgets.results import (
-    BLUR_MAP,
-    METADATA_KEY,
-)
+from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY
 
 RAMP_SHAPE = (300, 300)
 RAMP_NOISE_VARIANCE = 1e-6

@@ -19,9 +19,7 @@ from napari_defocus.seeds import BLURRED, IN_FOCUS, checked_seeds
 from napari_defocus.widgets.alignment import lies_on, same_part
 from napari_defocus.widgets.layers import Plane, corner, finest, placement, shown_index
 from napari_defocus.widgets.result_layers import MASK_COLOR, fixed_colors
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
+from napari_defocus.widgets.results import METADATA_KEY
 
 SEEDS = "seeds"
 BLURRED_COLOR = (0.2, 0.75, 1.0, 1.0)

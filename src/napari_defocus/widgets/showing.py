@@ -19,12 +19,14 @@ from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
     DEPTH,
+    IN_FOCUS,
     METADATA_KEY,
     PLACEMENT,
     PLANES,
     RUN,
     made_by_us,
     newest_first,
+    results_of,
     run_of,
 )
 
@@ -133,8 +135,8 @@ def _showing(
     if layer is None:
         [free] = _with_free_names(viewer.layers, [LayerDataTuple((data, keywords, kind))])
         layer = Layer.create(*free)
-        if keywords["metadata"][METADATA_KEY].get("outlined"):
-            layer.contour = OUTLINE
+        if _is_mask_on_map(viewer, layer):
+            layer.contour, layer.opacity = OUTLINE, 1.0
         layer = viewer.add_layer(layer)
         if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
@@ -155,6 +157,13 @@ def _showing(
         layer.contrast_limits_range = limits
         layer.contrast_limits = limits
     yield layer
+
+
+def _is_mask_on_map(viewer: ViewerModel, layer: Layer) -> bool:
+    """Tell whether a layer is a mask whose area would hide a blur map."""
+    source = layer.metadata[METADATA_KEY].get("source")
+    maps = results_of(viewer.layers, BLUR_MAP, source)
+    return made_by_us(layer) == IN_FOCUS and any(each.visible for each in maps)
 
 
 def prepare_napari() -> None:

@@ -15,10 +15,7 @@ from napari_defocus.settings import MaskSettings
 from napari_defocus.widgets.map_files import TIFF_ENDINGS, open_map, save_map
 from napari_defocus.widgets.region_table import wanted_regions
 from napari_defocus.widgets.relief import hide_relief, show_made_relief, wanted_relief
-from napari_defocus.widgets.results import (
-    BLUR_MAP,
-    layer_of_result,
-)
+from napari_defocus.widgets.results import BLUR_MAP, layer_of_result
 from napari_defocus.widgets.script import script_of
 from napari_defocus.widgets.way_back import way_back
 from napari_defocus.widgets.workers import Run

@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.widgets.layers import placement
-from napari_defocus.widgets.results import (
-    METADATA_KEY,
-)
+from napari_defocus.widgets.results import METADATA_KEY
 
 PROBE = "probe"
 OUTLINE_COLOR = "#ffd400"
