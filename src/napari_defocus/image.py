@@ -150,4 +150,6 @@ def _checked_range(
 def _luminance(color: NDArray[np.float32]) -> NDArray[np.float32]:
     if color.shape[2] == 1:
         return color[..., 0]
-    return color @ np.asarray(LUMA_WEIGHTS, np.float32)
+    # No matrix product: its last bit depends on the picture's size, which parts must not see.
+    red, green, blue = (np.float32(weight) * color[..., k] for k, weight in enumerate(LUMA_WEIGHTS))
+    return red + green + blue

@@ -146,9 +146,9 @@ def _profile_curves(
         strength = np.empty((directions, count, _LANES), np.float32)
         s, log_s = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
         before, deviance = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
-        at_zero, gains = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
+        at_zero = np.empty(_LANES, np.float32)
         q_v, q_vv = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
-        q_vvv = np.empty(_LANES, np.float32)
+        q_vvv, moving = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
         for direction in range(directions):
             for lane in range(_LANES):
                 at_zero[lane] = q[direction, :, lane].sum()
@@ -166,12 +166,13 @@ def _profile_curves(
                         # s = 0 was best, but that may be one of two minima.
                         log_s[lane] = least + _LIMIT * 3
                     s[lane] = np.exp(log_s[lane])
+                    moving[lane] = one
                 for _ in range(_MOST_ROUNDS if scale > 0 else _FIRST_ROUNDS):
                     _moments(q[direction], a, s, q_v, q_vv, q_vvv)
                     _scoring_step(
-                        log_sum, least, at_zero, q_v, q_vv, q_vvv, s, log_s, deviance, gains
+                        log_sum, least, at_zero, q_v, q_vv, q_vvv, s, log_s, deviance, moving
                     )
-                    if gains.max() < _SETTLED:
+                    if moving.max() == zero:
                         break
                 for lane in range(_LANES):
                     least_deviance = min(deviance[lane], at_zero[lane]) + offset[direction]
@@ -247,13 +248,14 @@ def _scoring_step(
     s: Float32,
     log_s: Float32,
     deviance: Float32,
-    gains: Float32,
+    moving: Float32,
 ) -> None:
-    """Move s of every lane towards the least deviance, in place.
+    """Move s of every lane that is `moving`, 1, towards the least deviance, in place.
 
     Newton's step in log s where the deviance is convex in it; elsewhere (11), which is a step
-    of Fisher scoring in s. `deviance` is left as that at the new place, to second order;
-    `gains` is what the step has gained.
+    of Fisher scoring in s. `deviance` is left as that at the new place, to second order. A lane
+    stays, 0, after a step that gained little, whatever the others do: what a window says does
+    not depend on its neighbours.
     """
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     two, three = np.float32(2), np.float32(3)
@@ -279,13 +281,16 @@ def _scoring_step(
         step = max(step, least - log_s[lane])
         here = q_v[lane] + value
         newton = step * (score - half * step * curvature)
-        # Towards s = 0 no more can be gained than the deviance there allows.
-        allowed = score * step if step > zero else max(here - at_zero[lane], zero)
-        fisher = min(score * step, allowed)
-        gains[lane] = newton if convex else fisher
-        deviance[lane] = here - (min(newton, _SETTLED) if convex else zero)
-        log_s[lane] += step
-        s[lane] *= _exp(step)
+        # Where s = 0 is better, no more can be gained on the way there than it has to give.
+        downhill = step < zero and here > at_zero[lane]
+        fisher = min(score * step, here - at_zero[lane]) if downhill else score * step
+        gained = newton if convex else fisher
+        there = here - (min(newton, _SETTLED) if convex else zero)
+        moves = moving[lane] > zero
+        deviance[lane] = there if moves else deviance[lane]
+        log_s[lane] += step if moves else zero
+        s[lane] *= _exp(step) if moves else one
+        moving[lane] = one if moves and gained >= _SETTLED else zero
 
 
 @njit(cache=True, fastmath=True, nogil=True, inline="always")
