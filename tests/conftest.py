@@ -1,8 +1,14 @@
+import os
+
 import numpy as np
 import pytest
 from skimage import data
 
 from napari_defocus import simulate_defocus
+
+# Threads of kernels that wait for others sleep instead of turning in circles: pictures are small
+# here, and cores may be shared. OpenMP reads it when the first kernel starts.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
 def _locked(picture):

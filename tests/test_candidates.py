@@ -263,6 +263,12 @@ def test_memory_layout_of_the_picture_does_not_matter(blurred, candidates):
         np.testing.assert_array_equal(found.curve, candidates.curve)
 
 
+def test_order_of_a_colour_picture_in_memory_does_not_matter(astronaut):
+    expected = estimate_candidates(astronaut[:60, :70], noise_variance=NOISE)
+    found = estimate_candidates(np.asfortranarray(astronaut[:60, :70]), noise_variance=NOISE)
+    np.testing.assert_array_equal(found.curve, expected.curve)
+
+
 def test_dask_array_is_a_picture(blurred, candidates):
     dask_array = pytest.importorskip("dask.array")
     lazy = dask_array.from_array(blurred, chunks=40)

@@ -28,7 +28,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 def grid_weights(rng, rows, columns, strength=1.0):
     """Random weights of the 8-neighbourhood, 0 where a neighbour would be outside."""
-    weights = strength * rng.uniform(0.2, 1.0, (4, rows, columns)).astype(np.float32)
+    weights = (strength * rng.uniform(0.2, 1.0, (4, rows, columns))).astype(np.float32)
     for k, (down, right) in enumerate(STEPS):
         weights[k, rows - down :] = 0
         if right > 0:
@@ -54,7 +54,7 @@ def fused(labels, proposal, data, weights):
     """The fusion, with costs of labels."""
     place = np.flatnonzero(labels != proposal)
     change = [np.take_along_axis(data, each[..., None], 2).ravel() for each in (proposal, labels)]
-    return fuse(labels, proposal, place, (change[0] - change[1])[place], weights)
+    return fuse(labels, proposal, place, (change[0] - change[1])[place].astype(float), weights)
 
 
 def explicit_energy(labels, data, weights):
@@ -71,7 +71,7 @@ def explicit_energy(labels, data, weights):
 
 def test_energy_is_the_sum_written_out():
     rng = np.random.default_rng(0)
-    data, weights = rng.uniform(size=(4, 5, 6)), grid_weights(rng, 4, 5)
+    data, weights = rng.uniform(size=(4, 5, 6)).astype(np.float32), grid_weights(rng, 4, 5)
     labels = rng.integers(0, 6, (4, 5)).astype(np.int32)
     energy = energy_of(labels, data, weights)
     np.testing.assert_allclose(energy, explicit_energy(labels, data, weights), rtol=1e-6)

@@ -303,7 +303,7 @@ def costs_and_weights(labels):
 
 def test_thresholds_give_the_best_of_all_labelings():
     data, weights = costs_and_weights(4)
-    labelings = (np.reshape(some, (2, 2)) for some in product(range(4), repeat=4))
+    labelings = (np.reshape(some, (2, 2)).astype(np.int32) for some in product(range(4), repeat=4))
     least = min(energy_of(labels, data, weights) for labels in labelings)
     found = solve_exactly(data, weights)
     np.testing.assert_allclose(energy_of(found, data, weights), least, rtol=1e-6)
@@ -312,15 +312,16 @@ def test_thresholds_give_the_best_of_all_labelings():
 @pytest.mark.parametrize("proposal", [[1, 1, 1, 1], [2, 0, 3, 3]])
 def test_fusion_is_the_best_of_all_mixtures(proposal):
     data, weights = costs_and_weights(4)
-    labels, proposal = np.array([[0, 3], [2, 1]], np.int32), np.reshape(proposal, (2, 2))
+    labels, proposal = np.array([[0, 3], [2, 1]], np.int32), np.array(proposal, np.int32)
+    proposal = proposal.reshape(2, 2)
     place = np.flatnonzero(labels != proposal)
     mixtures = (
         np.where(np.reshape(taken, (2, 2)), proposal, labels)
         for taken in product([False, True], repeat=4)
     )
     least = min(energy_of(some, data, weights) for some in mixtures)
-    change = _change(labels, proposal.astype(np.int32), place, data)
-    found = fuse(labels, proposal.astype(np.int32), place, change, weights)
+    change = _change(labels, proposal, place, data)
+    found = fuse(labels, proposal, place, change, weights)
     np.testing.assert_allclose(energy_of(found, data, weights), least, rtol=1e-6)
 
 
@@ -328,7 +329,7 @@ def test_flow_leaves_the_value_of_every_cut():
     rng = np.random.default_rng(2)
     labels, proposal = rng.permuted(np.arange(8).reshape(2, 2, 2), axis=0).astype(np.int32)
     place, weights = np.arange(4), random_weights(2, 2)
-    change = rng.normal(0, 2, 4).astype(np.float32)
+    change = rng.normal(0, 2, 4)
     cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
     assert (tail < head).all()
     assert (np.diff(tail) >= 0).all()

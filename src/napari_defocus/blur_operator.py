@@ -112,7 +112,7 @@ def checked_scales(blur_map: ArrayLike, shape: tuple[int, int], psf: PSFFamily) 
             f"blur_map has scales from {scales.min()} to {scales.max()} px; "
             f"{psf!r} takes 0 to {psf.max_scale} px"
         )
-    return scales.astype(np.float32)
+    return scales.astype(np.float32, order="C")
 
 
 def _rows(picture: Float32) -> Float32:

@@ -308,13 +308,13 @@ def _interpolated(cost: Float32, label: int, y: float, x: float) -> float:
 
 
 def interpolate_labels(
-    scales: Float32, labels: Labels, pixels: Labels, blocks: Blocks, jump: int
+    scales: Float64, labels: Labels, pixels: Labels, blocks: Blocks, jump: int
 ) -> Float32:
     """Interpolate the scales of blocks, at each pixel among those that its own label belongs to.
 
     Parameters
     ----------
-    scales : (R, C) float32 ndarray
+    scales : (R, C) float ndarray
         Of the blocks, in px.
     labels : (R, C) int32 ndarray
         Of the blocks.
@@ -329,12 +329,13 @@ def interpolate_labels(
     (H, W) float32 ndarray
         In px.
     """
+    scales = np.asarray(scales, np.float64)
     return _interpolated_alike(scales, labels, pixels, *blocks.positions, jump)
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def _interpolated_alike(
-    scales: Float32,
+    scales: Float64,
     labels: Labels,
     pixels: Labels,
     row_position: Float64,

@@ -93,11 +93,11 @@ def minimize_energy(
     labels = _coarse_start(*levels[-1])
     for depth, (level_data, level_weights) in enumerate(reversed(levels), 1):
         rows, columns = level_data.shape[:2]
-        start = labels.repeat(2, 0).repeat(2, 1)[:rows, :columns] if depth > 1 else labels
+        start = _finer(labels, rows, columns) if depth > 1 else labels
         # Each level has four times the nodes of the one before it.
         finest = depth == len(levels)
         if finest and coarse and depth > 1:
-            return np.ascontiguousarray(start)
+            return start
         report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
         labels = improve(start, level_data, level_weights, everywhere=not finest, progress=report)
     progress(_STEP, 1.0)
@@ -241,10 +241,10 @@ def _fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float
 
 
 @njit(cache=True, nogil=True)
-def _change(labels: Labels, proposal: Labels, place: Places, data: Float32) -> Float32:
+def _change(labels: Labels, proposal: Labels, place: Places, data: Float32) -> Float64:
     """Return D of the proposed label minus D of the present one, at some nodes."""
     columns = labels.shape[1]
-    change = np.empty(len(place), np.float32)
+    change = np.empty(len(place))
     for k in range(len(place)):
         i, j = place[k] // columns, place[k] % columns
         change[k] = data[i, j, proposal[i, j]] - data[i, j, labels[i, j]]
@@ -259,6 +259,10 @@ def _coarser(data: Float32, weights: Float32) -> tuple[Float32, Float32]:
     joined = padded.reshape(rows, 2, columns, 2, -1).sum(axis=(1, 3))
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)
+
+
+def _finer(labels: Labels, rows: int, columns: int) -> Labels:
+    return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -404,7 +408,7 @@ def _sink_side(cost: Float64, tail: Labels, head: Labels, forth: Float64, back: 
 
 
 def fuse(
-    labels: Labels, proposal: Labels, place: Places, change: Float32, weights: Float32
+    labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> Labels:
     """Take the proposed label at the best set of nodes: one minimum cut.
 
@@ -413,7 +417,7 @@ def fuse(
     labels, proposal : (R, C) int32 ndarray
     place : (P,) int64 ndarray
         Where they differ, as places in the flat grid, in order.
-    change : (P,) ndarray
+    change : (P,) float64 ndarray
         D of the proposed label minus D of the present one.
     weights : (4, R, C) float32 ndarray
 
@@ -434,7 +438,7 @@ def fuse(
 
 @njit(cache=True, nogil=True)
 def _fusion_graph(
-    labels: Labels, proposal: Labels, place: Places, change: Float32, weights: Float32
+    labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> tuple[Float64, Labels, Labels, Float32]:
     """Return unary costs and edges of the binary variables "the node has its larger label".
 

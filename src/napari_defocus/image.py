@@ -77,9 +77,10 @@ def prepare_image(
         opaque = array[..., 3] > 0
         opaque = None if opaque.all() else opaque
         array = array[..., :3]
-    # Differences of large numbers need double precision; 8 and 16 bits fit into single.
+    # Differences of large numbers need double precision; 8 and 16 bits fit into single. Row by
+    # row, whatever the order was: kernels are compiled for each order that they get.
     intensity: NDArray[np.floating] = array.astype(
-        np.float32 if array.dtype.itemsize <= 2 else np.float64
+        np.float32 if array.dtype.itemsize <= 2 else np.float64, order="C"
     )
     intensity -= low
     intensity /= high - low

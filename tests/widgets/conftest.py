@@ -1,3 +1,4 @@
+import gc
 import os
 import sys
 import time
@@ -26,6 +27,19 @@ def pytest_runtest_setup(item):
     if os.environ.get("CI"):
         pytest.fail(reason, pytrace=False)
     pytest.skip(reason)
+
+
+def pytest_collection_finish():
+    """Leave what the libraries made out of the search for garbage at the end of every window.
+
+    Once, before there is any of Qt's objects: those must not outlive their window.
+    """
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_sessionfinish():
+    gc.unfreeze()
 
 
 @pytest.fixture(autouse=True)

@@ -41,33 +41,33 @@ def shown(fields):
     return [field for field in fields if not field.native.isHidden()]
 
 
-@pytest.mark.parametrize(
-    ("widget_class", "made"),
-    [
+def test_widgets_make_their_layers_and_those_of_the_map(window, docked, finish, method, texture):
+    window.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
+    shown, of_the_map = ["leaf"], ["leaf blur (px)", "leaf confidence"]
+    for widget_class, made in (
         (AllInFocusWidget, "leaf all in focus"),
         (ChangeFocusWidget, "leaf refocused"),
         (DepthWidget, "leaf depth (m)"),
-    ],
-)
-def test_widget_makes_its_layer_and_those_of_the_map(
-    window, docked, finish, method, texture, widget_class, made
-):
-    window.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
-    widget = ready(docked(widget_class))
-    for _ in range(2):
-        finish(widget)
-        assert names(window) == ["leaf", "leaf blur (px)", "leaf confidence", made]
-    assert len(method.estimations) == len(method.labelings) == 1
-    for layer in list(window.layers)[1:]:
-        assert tuple(layer.scale) == (2, 3)
-        assert [str(unit) for unit in layer.units] == ["micrometer", "micrometer"]
-        assert layer.axis_labels == ("y", "x")
-    assert [layer.visible for layer in window.layers] == [True, False, False, True]
-    assert [choice and choice.name for choice in widget.blur_map.choices] == [
-        None,
-        "leaf blur (px)",
-    ]
-    assert [layer.name for layer in widget.image.choices] == ["leaf"]
+    ):
+        widget = ready(docked(widget_class))
+        shown.append(made)
+        for _ in range(2):
+            finish(widget)
+            assert names(window) == [*shown[:-1], *of_the_map, made]
+        assert len(method.estimations) == len(method.labelings) == 1
+        for layer in list(window.layers)[1:]:
+            assert tuple(layer.scale) == (2, 3)
+            assert [str(unit) for unit in layer.units] == ["micrometer", "micrometer"]
+            assert layer.axis_labels == ("y", "x")
+        assert [layer.name for layer in window.layers if layer.visible] == shown
+        assert [choice and choice.name for choice in widget.blur_map.choices] == [
+            None,
+            "leaf blur (px)",
+        ]
+        assert [layer.name for layer in widget.image.choices] == ["leaf"]
+        # Each makes the map's layers anew if they are not there.
+        for name in of_the_map:
+            window.layers.remove(name)
 
 
 def test_map_that_was_made_on_the_way_is_shown_once_it_is_asked_for(

@@ -235,22 +235,22 @@ def test_map_of_a_part_serves_that_part_with_its_confidence_and_no_other(viewer,
 
 
 @pytest.mark.display
-@pytest.mark.parametrize("scales", [1, 3])
-def test_visible_field_is_what_the_canvas_shows(window, scales):
+def test_visible_field_is_what_the_canvas_shows(window):
     data = np.random.default_rng(0).random((800, 1200)).astype(np.float32)
-    levels = [data[:: 2**n, :: 2**n] for n in range(scales)]
-    image = window.add_image(
-        levels if scales > 1 else data, multiscale=scales > 1, scale=(0.5, 0.5), translate=(7, 0)
-    )
+    levels = [data[:: 2**n, :: 2**n] for n in range(3)]
+    placed = {"scale": (0.5, 0.5), "translate": (7, 0)}
+    plain, pyramid = (window.add_image(given, **placed) for given in (data, levels))
+    assert pyramid.multiscale
     window.scene.camera.zoom = 8
     window.scene.camera.center = (0, 7 + 150, 250)
     height, width = np.array(window.canvas.size) / 8 / 0.5
-    region = region_of(image, window, "visible")
     rows, columns = (300 - height / 2, 300 + height / 2), (500 - width / 2, 500 + width / 2)
     expected = [*np.clip(rows, 0, 800), *np.clip(columns, 0, 1200)]
-    np.testing.assert_allclose(bounds(region), expected, atol=1)
-    part = part_of(window, image, "visible")
-    np.testing.assert_array_equal(part.read(), data[region.rows, region.columns])
+    for image in (plain, pyramid):
+        region = region_of(image, window, "visible")
+        np.testing.assert_allclose(bounds(region), expected, atol=1)
+        part = part_of(window, image, "visible")
+        np.testing.assert_array_equal(part.read(), data[region.rows, region.columns])
 
 
 @pytest.mark.display
@@ -268,12 +268,12 @@ def test_visible_field_agrees_with_napari_and_follows_swapped_axes(make_napari_v
 
 
 @pytest.mark.display
-@pytest.mark.parametrize(
-    ("center", "zoom", "words"),
-    [((0, 0, 900), 8, "lies beside the picture"), ((0, 50, 50), 2000, "too small")],
-)
-def test_field_that_shows_nothing_or_too_little_is_refused(window, center, zoom, words):
+def test_field_that_shows_nothing_or_too_little_is_refused(window):
     image = window.add_image(np.zeros((100, 100)))
-    window.scene.camera.zoom, window.scene.camera.center = zoom, center
-    with pytest.raises(NotAnalysableError, match=f"the visible field .*{words}"):
-        region_of(image, window, "visible")
+    for center, zoom, words in (
+        ((0, 0, 900), 8, "lies beside the picture"),
+        ((0, 50, 50), 2000, "too small"),
+    ):
+        window.scene.camera.zoom, window.scene.camera.center = zoom, center
+        with pytest.raises(NotAnalysableError, match=f"the visible field .*{words}"):
+            region_of(image, window, "visible")
