@@ -20,8 +20,13 @@ _PACKAGES_OF_EXTRA = ("dask", "zarr", "ome_zarr_models")
 class RegionReader(Protocol):
     """What reads regions of a file that it opens by its path; it can be sent to other processes."""
 
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the whole."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of what is read."""
 
     def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
         """Read a region, one slice of step 1 an axis."""
