@@ -17,17 +17,18 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from napari_defocus.files import UnwritableResult
 from napari_defocus.lazy_arrays import need_large_extra
-from napari_defocus.ome_zarr import OUR_KEY, RGB_COLORS, is_zarr
+from napari_defocus.ome_zarr import OUR_KEY, is_zarr
+from napari_defocus.ome_zarr_metadata import (
+    check_form,
+    check_named_axes,
+    description,
+    stored_names,
+    stored_order,
+)
 from napari_defocus.pyramid import halve_into, level_shapes
 
 TILE = 512
 """px of a chunk's side."""
-
-_VERSION = "0.5"
-_MOST_AXES = 5
-_AXIS_TYPES = {"t": "time", "c": "channel", "z": "space", "y": "space", "x": "space"}
-_PLACE_OF_AXIS = {"t": 0, "z": 2, "y": 3, "x": 4}
-_PLACE_OF_OTHERS = 1
 
 Region = tuple[slice | int, ...]
 
@@ -86,7 +87,7 @@ class OmeZarrWriter:
         kept = tuple(n for n, key in zip(shape, region, strict=True) if isinstance(key, slice))
         if given.shape not in (shape, kept):
             raise ValueError(f"values have the shape {given.shape}; the region has {kept}")
-        order = _stored_order(self.axes)
+        order = stored_order(self.axes)
         stored = given.reshape(shape).transpose(order)
         write_region(self.part, tuple(parts[i] for i in order), stored)
 
@@ -206,9 +207,9 @@ def new_ome_zarr(
     target = Path(path).absolute()
     about = _checked_attributes(attributes)
     kind = np.dtype(dtype)
-    _check_form(shape, kind, axes, tile)
-    _check_named_axes("scale", scale, axes)
-    _check_named_axes("units", units, axes)
+    check_form(shape, kind, axes, tile)
+    check_named_axes("scale", scale, axes)
+    check_named_axes("units", units, axes)
     _put_back(target)
     _check_target(target, force)
     part = target.with_name(f".{target.name}.part")
@@ -248,49 +249,12 @@ def _array(group: Any, name: str) -> Any:
     return group[name].with_config({"write_empty_chunks": True})
 
 
-def _stored_order(axes: str) -> list[int]:
-    """Return which given axis is stored at each place: time, others and colours, space."""
-    places = [_PLACE_OF_AXIS.get(letter, _PLACE_OF_OTHERS) for letter in axes]
-    return sorted(range(len(axes)), key=places.__getitem__)
-
-
-def _stored_names(axes: str) -> list[str]:
-    return [axes[i].replace("s", "c") for i in _stored_order(axes)]
-
-
 def _checked_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
     try:
         about: dict[str, Any] = json.loads(json.dumps(dict(attributes)))
     except (TypeError, ValueError) as error:
         raise TypeError(f"attributes takes what JSON can hold: {error}") from error
     return about
-
-
-def _check_form(shape: tuple[int, ...], dtype: np.dtype[Any], axes: str, tile: int) -> None:
-    names = _stored_names(axes)
-    others = sum(name not in _AXIS_TYPES for name in names)
-    if len(set(names)) < len(names) or not {"y", "x"} <= set(names) or not axes.isalpha():
-        raise ValueError(
-            f"axes is {axes!r}; it takes a letter an axis, all different, y and x among them, "
-            "and c or s, not both"
-        )
-    if len(names) > _MOST_AXES or others > 1:
-        raise ValueError(
-            f"axes is {axes!r}; OME-Zarr takes up to {_MOST_AXES}, "
-            "and one at most besides t, c (or s), z, y, x"
-        )
-    if len(shape) != len(axes) or min(shape) < 1:
-        raise ValueError(f"shape is {tuple(shape)}; axes {axes!r} take {len(axes)} sizes above 0")
-    if dtype.kind not in "buif":
-        raise TypeError(f"dtype is {dtype}; it takes bool or a real number")
-    if tile < 16:
-        raise ValueError(f"tile is {tile}; it takes 16 px or more")
-
-
-def _check_named_axes(name: str, given: Mapping[str, Any] | None, axes: str) -> None:
-    unknown = sorted(set(given or {}) - set(axes))
-    if unknown:
-        raise ValueError(f"{name} has the axes {', '.join(unknown)}; axes is {axes!r}")
 
 
 def _check_target(path: Path, force: bool) -> None:
@@ -319,9 +283,9 @@ def _can_go_on(writer: OmeZarrWriter, about: dict[str, Any]) -> bool:
 
 
 def _stored_form(writer: OmeZarrWriter) -> tuple[Any, ...]:
-    order = _stored_order(writer.axes)
+    order = stored_order(writer.axes)
     shape = tuple(writer.shape[i] for i in order)
-    names = _stored_names(writer.axes)
+    names = stored_names(writer.axes)
     chunks = tuple(
         min(writer.tile, size) if name in "yx" else 1
         for name, size in zip(names, shape, strict=True)
@@ -368,7 +332,7 @@ def _chunk_paths(level: Path, region: tuple[slice, ...], axes: str, tile: int) -
         range(part.start // side, -(-part.stop // side))
         for part, side in zip(region, sides, strict=True)
     ]
-    for chunk in product(*(numbers[i] for i in _stored_order(axes))):
+    for chunk in product(*(numbers[i] for i in stored_order(axes))):
         yield level.joinpath("c", *map(str, chunk))
 
 
@@ -392,51 +356,15 @@ def _say_what_it_is(writer: OmeZarrWriter, levels: int) -> None:
     import zarr
 
     colors = writer.shape[writer.axes.index("s")] if "s" in writer.axes else 0
-    about: dict[str, Any] = {"version": _VERSION, "multiscales": [_multiscale(writer, levels)]}
-    if writer.labels:
-        about["image-label"] = {"version": _VERSION}
-    if colors == 3:
-        about["omero"] = {"channels": [_color_channel(i, writer.dtype) for i in range(3)]}
-    zarr.open_group(writer.part, mode="r+").attrs["ome"] = about
-
-
-def _multiscale(writer: OmeZarrWriter, levels: int) -> dict[str, Any]:
-    from ome_zarr_models.v05.axes import Axis
-    from ome_zarr_models.v05.multiscales import Dataset, Multiscale
-
-    given = [writer.axes[i] for i in _stored_order(writer.axes)]
-    names = _stored_names(writer.axes)
-    axes = [
-        Axis(name=name, type=_AXIS_TYPES.get(name), unit=writer.units.get(letter))
-        for name, letter in zip(names, given, strict=True)
-    ]
-    base = [float(writer.scale.get(letter, 1.0)) for letter in given]
-    datasets = []
-    for level in range(levels):
-        zooms = [2.0**level if name in "yx" else 1.0 for name in names]
-        datasets.append(
-            Dataset.build(
-                path=str(level),
-                scale=[step * zoom for step, zoom in zip(base, zooms, strict=True)],
-                # The middle of a coarse pixel is between those of the fine ones.
-                translation=[step * (zoom - 1) / 2 for step, zoom in zip(base, zooms, strict=True)],
-            )
-        )
-    name = writer.path.name.removesuffix(".zarr").removesuffix(".ome")
-    model = Multiscale(axes=axes, datasets=tuple(datasets), name=name)
-    described: dict[str, Any] = model.model_dump(mode="json", exclude_none=True)
-    return described
-
-
-def _color_channel(number: int, dtype: str) -> dict[str, Any]:
-    kind = np.dtype(dtype)
-    white = float(np.iinfo(kind).max) if kind.kind in "ui" else 1.0
-    return {
-        "label": ("red", "green", "blue")[number],
-        "color": RGB_COLORS[number],
-        "active": True,
-        "window": {"min": 0.0, "max": white, "start": 0.0, "end": white},
-    }
+    zarr.open_group(writer.part, mode="r+").attrs["ome"] = description(
+        writer.axes,
+        writer.scale,
+        writer.units,
+        name=writer.path.name.removesuffix(".zarr").removesuffix(".ome"),
+        levels=levels,
+        labels=writer.labels,
+        rgb_of=np.dtype(writer.dtype) if colors == 3 else None,
+    )
 
 
 def _aside(path: Path) -> Path:
