@@ -14,7 +14,6 @@ from ome_zarr_models.v05.image import Image
 from napari_defocus.files import UnwritableResult
 from napari_defocus.ome_zarr import read_ome_zarr
 from napari_defocus.ome_zarr_writer import new_ome_zarr
-from napari_defocus.pyramid import halved
 
 MICRONS = {"y": "micrometer", "x": "micrometer"}
 
@@ -79,18 +78,6 @@ def test_pyramid_lies_on_the_picture(tmp_path, blur):
     scale, shift = datasets[2]["coordinateTransformations"]
     assert scale["scale"] == [1.0, 2.0]
     assert shift["translation"] == [0.375, 0.75], "middles of pixels, not their corners"
-
-
-def test_mean_leaves_out_what_is_not_known_and_masks_keep_what_is_thin():
-    nan = np.nan
-    known = np.array([[1, nan, nan], [3, nan, nan], [5, 7, 9]], np.float32)
-    np.testing.assert_array_equal(halved(known), np.float32([[2, nan], [6, 9]]))
-    line = np.zeros((6, 6), np.uint8)
-    line[3] = 1
-    assert halved(line, labels=True)[1].tolist() == [1, 1, 1]
-    assert halved(line > 0)[1].all()
-    assert halved(np.uint8([[255, 255], [255, 254]])).tolist() == [[255]]
-    assert halved(np.float16([[1, 2], [3, 4]])).dtype == np.float16
 
 
 @pytest.mark.parametrize("axes", ["zyxs", "ztyx", "ytx", "tqzyx"])

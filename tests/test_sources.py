@@ -190,6 +190,31 @@ def test_stack_in_colour(tmp_path, rng):
     np.testing.assert_array_equal(source.plane((1,)), values[1])
 
 
+def test_stack_in_several_files_is_one(tmp_path, rng):
+    """An OME-TIFF says in which file each plane is."""
+    values = words_of(rng, 3, 40, 50)
+    names = ["a.ome.tif", "b.ome.tif", "c.ome.tif"]
+    planes = "".join(
+        f'<TiffData FirstZ="{z}" IFD="0" PlaneCount="1">'
+        f'<UUID FileName="{name}">urn:uuid:{name}</UUID></TiffData>'
+        for z, name in enumerate(names)
+    )
+    for name, plane in zip(names, values, strict=True):
+        xml = (
+            '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:'
+            f'{name}"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" SizeX="50" '
+            'SizeY="40" SizeZ="3" SizeC="1" SizeT="1" Type="uint16" PhysicalSizeX="0.5">'
+            f"{planes}</Pixels></Image></OME>"
+        )
+        options = {"compression": "zlib", "metadata": None, "description": xml}
+        tifffile.imwrite(tmp_path / name, plane, **options)
+    source = open_source(tmp_path / "a.ome.tif")
+    assert (source.axes, source.scale) == ("zyx", {"x": 0.5})
+    np.testing.assert_array_equal(read(source), values)
+    (tmp_path / "b.ome.tif").unlink()
+    np.testing.assert_array_equal(read(open_source(tmp_path / "a.ome.tif"))[1], 0)
+
+
 def test_axes_of_unknown_meaning_have_letters_of_their_own(tmp_path, rng):
     tifffile.imwrite(tmp_path / "s.tif", bytes_of(rng, 2, 3, 20, 30), photometric="minisblack")
     axes = open_source(tmp_path / "s.tif").axes
@@ -258,28 +283,26 @@ def test_large_tiff_is_cut_into_blocks_of_whole_tiles(tmp_path):
     assert open_source(tmp_path / "t.tif").data.numblocks == (3, 1)
 
 
-@pytest.mark.parametrize("kind", ["imagej", "ome", "zarr", "png"])
-def test_data_go_to_another_process(tmp_path, rng, kind):
+def test_data_go_to_another_process(tmp_path, rng, monkeypatch):
     values = bytes_of(rng, 2, 2, 40, 50)
-    path = tmp_path / {"ome": "s.ome.tif", "png": "s.png"}.get(kind, "s.tif")
-    if kind == "png":
-        values = values[0, 0]
-        Image.fromarray(values).save(path)
-    elif kind == "zarr":
-        path = zarr_of(tmp_path / "s.zarr", values, "tzyx")
-    else:
-        stack_of(path, values, kind)
-    (tmp_path / "data").write_bytes(pickle.dumps(open_source(path).data))
+    stack_of(tmp_path / "s.tif", values, "imagej")
+    stack_of(tmp_path / "s.ome.tif", values, "ome")
+    zarr_of(tmp_path / "s.zarr", values, "tzyx")
+    Image.fromarray(values[0, 0]).save(tmp_path / "s.png")
+    monkeypatch.chdir(tmp_path)
+    names = ["s.tif", "s.ome.tif", "s.zarr", "s.png"]
+    (tmp_path / "data").write_bytes(pickle.dumps([open_source(name).data for name in names]))
     code = (
         "import pickle, sys\n"
-        "data = pickle.load(open(sys.argv[1], 'rb'))\n"
-        "print(data[..., 5:, :7].sum(dtype=int).compute(scheduler='synchronous'))"
+        "for data in pickle.load(open(sys.argv[1], 'rb')):\n"
+        "    print(data[..., 5:, :7].sum(dtype=int).compute(scheduler='synchronous'))"
     )
     told = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "data")],
-        capture_output=True, text=True, timeout=60, check=True,
+        cwd=tmp_path.parent, capture_output=True, text=True, timeout=60, check=True,
     ).stdout  # fmt: skip
-    assert int(told) == values[..., 5:, :7].sum(dtype=int)
+    expected = [values[..., 5:, :7].sum(dtype=int)] * 3 + [values[0, 0, 5:, :7].sum(dtype=int)]
+    assert [int(line) for line in told.split()] == expected
 
 
 # --- OME-Zarr -------------------------------------------------------------------------------

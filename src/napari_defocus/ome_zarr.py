@@ -95,7 +95,7 @@ def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
     """
     need_large_extra()
     try:
-        return _picture(Path(path))
+        return _picture(Path(path).absolute())
     # Zarr and damaged metadata raise anything.
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -196,7 +196,8 @@ def _lazy(array: Any, letters: str) -> da.Array:
         block_side(chunk, size) if letter in "yx" else chunk
         for chunk, size, letter in zip(stored, array.shape, letters, strict=True)
     )
-    return da.from_array(array, chunks=blocks, fancy=False, name=False)
+    data = da.from_array(array, chunks=blocks, fancy=False, name=False)
+    return data.astype(data.dtype.newbyteorder("="))
 
 
 def _scale_and_units(

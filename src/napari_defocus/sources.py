@@ -114,7 +114,8 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     - PNG, JPEG, WebP, BMP: what `read_picture` gives, as one block.
     - TIFF of one page, or of many (ImageJ, OME-TIFF, slides), tiled or not: the largest level,
       of which tiles, strips or parts of an uncompressed page are read. Values, colours and
-      orientation are as `read_picture` gives them; scale and units as `scale_in_tiff`.
+      orientation are as `read_picture` gives them; scale and units as `scale_in_tiff`. Planes
+      that an OME-TIFF tells of, but that were not recorded or whose file is missing, are 0.
     - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels that
       the store says are pure red, green and blue become colours; all other channels are planes,
       even three of uint8, because a store does not say that they belong together.
@@ -156,7 +157,7 @@ def open_source(path: str | os.PathLike[str]) -> Source:
             raise UnreadablePicture(f"cannot read {path}: it is a folder, and no OME-Zarr store")
         return _zarr_source(path)
     if not _is_tiff(path):
-        reader = _Photograph(path, *picture_form(path))
+        reader = _Photograph(path.absolute(), *picture_form(path))
         axes = "yxs"[: len(reader.shape)]
         return Source(path, lazy_array(reader, reader.shape), axes, {}, {})
     # Damaged TIFFs raise whatever their bytes led the decoder into.

@@ -109,15 +109,18 @@ def write_pyramidal_tiff(
     target = Path(path).resolve()
     part, scratch = (target.with_name(f".{target.name}.{what}") for what in ("part", "levels"))
     options = _page_options(data, axes) | _noted(axes, np.dtype(data.dtype), scale, units, about)
+    levels = _Levels(data, axes, labels=labels)
     try:
         # A killed run may have left one.
         shutil.rmtree(scratch, ignore_errors=True)
         scratch.mkdir()
-        _write(part, _Levels(data, axes, scratch, labels=labels), options)
+        levels.wait_in(scratch)
+        _write(part, levels, options)
         part.replace(target)
     except OSError as error:
         raise UnwritableResult(f"cannot write {path}: {error.strerror or error}") from error
     finally:
+        levels.arrays.clear()
         shutil.rmtree(scratch, ignore_errors=True)
         part.unlink(missing_ok=True)
     return Path(path)
@@ -168,15 +171,17 @@ def _checked_description(
 class _Levels:
     """Tiles of every level, from the largest on, each made while the one before is written."""
 
-    def __init__(self, data: Any, axes: str, scratch: Path, *, labels: bool) -> None:
+    def __init__(self, data: Any, axes: str, *, labels: bool) -> None:
         self.row_axis = axes.index("y")
         self.labels = labels or np.dtype(data.dtype).kind == "b"
         self.dtype = np.dtype(np.uint8 if data.dtype.kind == "b" else data.dtype)
         self.shapes = level_shapes(tuple(data.shape), self.row_axis)
-        self.arrays = [data] + [
-            np.memmap(scratch / str(level), self.dtype, "w+", shape=shape)
-            for level, shape in enumerate(self.shapes[1:], 1)
-        ]
+        self.arrays = [data]
+
+    def wait_in(self, folder: Path) -> None:
+        """Keep the smaller levels, until they are written, in files of a folder."""
+        for level, shape in enumerate(self.shapes[1:], 1):
+            self.arrays.append(np.memmap(folder / str(level), self.dtype, "w+", shape=shape))
 
     def tiles(self, level: int) -> Iterator[NDArray[Any]]:
         """Yield the tiles of a level, plane by plane and row by row; the level above is filled."""
