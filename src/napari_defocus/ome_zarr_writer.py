@@ -202,6 +202,18 @@ def new_ome_zarr(
         If the folder is missing, or `path` exists and `force` is not set, or is no Zarr store.
     TypeError, ValueError
         If another argument is not as said above.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     writer = new_ome_zarr(
+    ...         Path(folder, "mask.ome.zarr"), shape=(2, 600, 700), dtype="uint8", axes="zyx",
+    ...         attributes={"quantity": "in-focus mask"}, labels=True)
+    ...     for plane in range(2):
+    ...         writer.write_region((plane, slice(0, 600), slice(0, 700)), np.ones((600, 700)))
+    ...     writer.finish().name
+    'mask.ome.zarr'
     """
     need_large_extra()
     target = Path(path).absolute()
