@@ -304,7 +304,7 @@ def test_stack_is_refused_with_its_shape(tmp_path, rng):
     tifffile.imwrite(path, bytes_of(rng, 5, 24, 20), imagej=True, metadata={"axes": "ZYX"})
     message = refusal_of(path)
     assert "5 x 24 x 20" in message
-    assert "stacks are not read yet" in message
+    assert "napari-defocus batch reads stacks" in message
 
 
 def test_tiff_of_several_pictures_is_refused(tmp_path, rng):

@@ -63,10 +63,61 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     path = Path(path)
     try:
         picture, orientation = _decode(path)
-        return np.ascontiguousarray(_upright(picture, orientation))
+        return np.ascontiguousarray(upright(picture, orientation))
     # Decoders raise whatever the damaged bytes led them into: struct.error, SyntaxError, ...
     except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {_reading_failure(error)}") from error
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+
+
+def picture_form(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return the shape and dtype that `read_picture` gives; of PNG alone, pixels are decoded.
+
+    Parameters
+    ----------
+    path : Path
+        As `read_picture` takes it, but no TIFF.
+
+    Returns
+    -------
+    shape : tuple of int
+    dtype : numpy.dtype
+
+    Raises
+    ------
+    UnreadablePicture
+        As `read_picture`; damage in the pixels may be found only when they are read.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(PNG_BIT_DEPTH_AT + 1)
+        if start.startswith(PNG_START) and start[PNG_BIT_DEPTH_AT] == 16:
+            picture = read_picture(path)
+            return picture.shape, picture.dtype
+        with Image.open(path, formats=PILLOW_FORMATS) as image:
+            orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+            _refuse_animation(image)
+            width, height = image.size[::-1] if orientation in (5, 6, 7, 8) else image.size
+            return (height, width, *_pillow_channels(image)), _pillow_dtype(image)
+    except UnreadablePicture:
+        raise
+    except Exception as error:
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+
+
+def _pillow_channels(image: Image.Image) -> tuple[int, ...]:
+    if image.has_transparency_data:
+        return (4,)
+    return () if image.mode in ("1", "L") else (3,)
+
+
+def _pillow_dtype(image: Image.Image) -> np.dtype[Any]:
+    grey = image.mode == "1" and not image.has_transparency_data
+    return np.dtype(bool if grey else np.uint8)
+
+
+def _refuse_animation(image: Image.Image) -> None:
+    if getattr(image, "is_animated", False) and image.format != "MPO":
+        raise ValueError("it is animated; single pictures are read")
 
 
 def _decode(path: Path) -> tuple[NDArray[Any], int]:
@@ -76,8 +127,7 @@ def _decode(path: Path) -> tuple[NDArray[Any], int]:
         return _decode_tiff(path)
     with Image.open(path, formats=PILLOW_FORMATS) as image:
         orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
-        if getattr(image, "is_animated", False) and image.format != "MPO":
-            raise ValueError("it is animated; single pictures are read")
+        _refuse_animation(image)
         # Pillow cuts 16-bit colour down to 8 bits.
         if start.startswith(PNG_START) and start[PNG_BIT_DEPTH_AT] == 16:
             return _decode_deep_png(path), orientation
@@ -104,12 +154,13 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
     with tifffile.TiffFile(path) as tiff:
         series = _only_series(tiff)
         page = series.keyframe
-        _refuse_cut_off(page, tiff.filehandle.size)
+        if cut_off(page, tiff.filehandle.size):
+            raise ValueError("the file is cut off")
         pixels = series.asarray()
         if series.axes.startswith("S"):
             pixels = np.moveaxis(pixels, 0, -1)
         orientation = page.tags.valueof("Orientation", default=1)
-        return _tiff_colors(pixels, page), int(orientation)
+        return tiff_colors(pixels, page), int(orientation)
 
 
 def _only_series(tiff: Any) -> Any:
@@ -120,7 +171,7 @@ def _only_series(tiff: Any) -> Any:
         shape = " x ".join(map(str, series.shape))
         raise ValueError(
             f"it is a stack of shape {shape} (axes {series.axes}); "
-            "stacks are not read yet, save one plane"
+            "napari-defocus batch reads stacks, plane by plane"
         )
     _refuse_bomb(series.keyframe.imagelength * series.keyframe.imagewidth)
     return series
@@ -132,14 +183,17 @@ def _refuse_bomb(pixels: int) -> None:
         raise ValueError(f"it has {pixels} pixels; up to {2 * limit} are read")
 
 
-def _refuse_cut_off(page: Any, size: int) -> None:
+def cut_off(page: Any, size: int) -> bool:
+    """Return whether strips or tiles of a page of a TIFF lie beyond the end of its file.
+
+    One that is cut off, and compressed as JPEG, decodes without an error.
+    """
     ends = (at + length for at, length in zip(page.dataoffsets, page.databytecounts, strict=True))
-    # Found here because a JPEG-compressed strip that is cut off decodes without an error.
-    if max(ends) > size:
-        raise ValueError("the file is cut off")
+    return max(ends, default=0) > size
 
 
-def _tiff_colors(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+def tiff_colors(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+    """Turn pixels of a page of a TIFF, (H, W[, samples]), into grey, RGB or RGBA."""
     model = page.photometric.name
     # tifffile decodes YCbCr only where JPEG does it along the way.
     if model in ("MINISBLACK", "RGB") or (model == "YCBCR" and "JPEG" in page.compression.name):
@@ -171,7 +225,7 @@ def _opacity_last(pixels: NDArray[Any]) -> NDArray[Any]:
     return pixels
 
 
-def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
+def upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     """Undo the camera's orientation: EXIF and TIFF tag 274, values 1 to 8."""
     if orientation in (5, 6, 7, 8):
         pixels = np.swapaxes(pixels, 0, 1)
@@ -182,7 +236,8 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     return pixels
 
 
-def _reading_failure(error: Exception) -> str:
+def reading_failure(error: Exception) -> str:
+    """Return, in one line, why a file could not be read."""
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, IsADirectoryError):

@@ -1,0 +1,107 @@
+"""Arrays that are read when they are computed: part by part, in whichever process computes them."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import dask.array as da
+
+LEAST_SIDE = 1024
+"""px that a block of a lazy array has at least, if its file has smaller tiles or strips."""
+
+_PACKAGES_OF_EXTRA = ("dask", "zarr", "ome_zarr_models")
+
+
+class RegionReader(Protocol):
+    """What reads regions of a file that it opens by its path; it can be sent to other processes."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the whole."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of what is read."""
+
+    def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
+        """Read a region, one slice of step 1 an axis."""
+
+
+class _Indexed:
+    """A reader for any basic index: what dask asks for when it has fused an index with a read."""
+
+    def __init__(self, reader: RegionReader) -> None:
+        self.reader = reader
+        self.shape, self.dtype, self.ndim = reader.shape, reader.dtype, len(reader.shape)
+
+    def __getitem__(self, key: Any) -> NDArray[Any]:
+        keys = key if isinstance(key, tuple) else (key,)
+        keys += (slice(None),) * (self.ndim - len(keys))
+        parts = [_covering(one, size) for one, size in zip(keys, self.shape, strict=True)]
+        covering, rest = zip(*parts, strict=True)
+        if any(part.stop <= part.start for part in covering):
+            return np.empty(self.shape, self.dtype)[keys]
+        return self.reader[covering][rest]
+
+
+def _covering(key: Any, size: int) -> tuple[slice, Any]:
+    """Return a slice of step 1 that holds what an index asks for, and what is left to index."""
+    if not isinstance(key, slice):
+        start = int(key) % size
+        return slice(start, start + 1), 0
+    start, stop, step = key.indices(size)
+    if step > 0:
+        return slice(start, stop), slice(None, None, step)
+    asked = range(start, stop, step)
+    if not asked:
+        return slice(0, 0), slice(None)
+    return slice(asked[-1], asked[0] + 1), slice(None, None, step)
+
+
+def lazy_array(reader: RegionReader, blocks: tuple[int, ...]) -> da.Array:
+    """Return a dask array whose blocks are read when they are computed.
+
+    Parameters
+    ----------
+    reader : RegionReader
+        Reads one region; only what is asked for is read.
+    blocks : tuple of int
+        Length of a block along each axis.
+
+    Returns
+    -------
+    dask.array.Array
+        Of the reader's shape and dtype.
+    """
+    import dask.array as da
+
+    meta = np.empty((0,) * len(reader.shape), reader.dtype)
+    return da.from_array(
+        _Indexed(reader), chunks=blocks, meta=meta, fancy=False, asarray=False, name=False
+    )
+
+
+def block_side(tile: int, size: int) -> int:
+    """Return how long a block is along an axis that a file keeps in tiles: whole tiles.
+
+    Examples
+    --------
+    >>> block_side(tile=256, size=40_000), block_side(tile=4096, size=40_000), block_side(1, 100)
+    (1024, 4096, 100)
+    """
+    return min(tile * -(-LEAST_SIDE // tile), size)
+
+
+def need_large_extra() -> None:
+    """Raise ImportError, with what to install, if a package of the extra "large" is missing."""
+    missing = [name for name in _PACKAGES_OF_EXTRA if find_spec(name) is None]
+    if missing:
+        raise ImportError(
+            f"stacks and large pictures need {', '.join(missing)}: "
+            "pip install 'napari-defocus[large]'"
+        )

@@ -1,0 +1,87 @@
+"""Pyramids: each level half as high and wide as the one before, made in bounded memory."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SMALLEST_LEVEL = 512
+"""px: the pyramid ends where no side is longer."""
+
+
+def level_shapes(shape: tuple[int, ...], row_axis: int) -> list[tuple[int, ...]]:
+    """Return the shapes of all levels; rows are along `row_axis`, columns along the next one.
+
+    Examples
+    --------
+    >>> level_shapes((3, 2000, 1001), 1)
+    [(3, 2000, 1001), (3, 1000, 501), (3, 500, 251)]
+    """
+    shapes = [tuple(shape)]
+    picture = slice(row_axis, row_axis + 2)
+    while max(shapes[-1][picture]) > SMALLEST_LEVEL:
+        last = shapes[-1]
+        halves = [-(-size // 2) for size in last[picture]]
+        shapes.append((*last[:row_axis], *halves, *last[row_axis + 2 :]))
+    return shapes
+
+
+def halve_into(fine: Any, coarse: Any, piece: tuple[int, ...], *, labels: bool = False) -> None:
+    """Fill the next level of a pyramid, a piece at a time; rows and columns are the last axes.
+
+    Parameters
+    ----------
+    fine, coarse : array-like that is read, and written, by slices
+        (..., H, W) and (..., ceil(H / 2), ceil(W / 2)), such as arrays of Zarr.
+    piece : tuple of int
+        Lengths of what is written at a time; four times as many pixels are read.
+    labels : bool
+        As in `halved`.
+    """
+    starts = [range(0, size, side) for size, side in zip(coarse.shape, piece, strict=True)]
+    for corner in product(*starts):
+        bounds = zip(corner, piece, coarse.shape, strict=True)
+        target = tuple(slice(at, min(at + side, size)) for at, side, size in bounds)
+        rows, columns = (slice(2 * part.start, 2 * part.stop) for part in target[-2:])
+        coarse[target] = halved(fine[(*target[:-2], rows, columns)], labels=labels)
+
+
+def halved(values: NDArray[Any], *, labels: bool = False) -> NDArray[Any]:
+    """Return the next level of a pyramid, (..., ceil(H / 2), ceil(W / 2)), of the same dtype.
+
+    A pixel is the mean of the 2 x 2 that it covers, without those that are NaN or outside; NaN
+    if all are. Of `labels`, and of bool, it is the largest of them: what is thin does not
+    vanish, and no value is invented.
+
+    Examples
+    --------
+    >>> halved(np.array([[1.0, np.nan, 5.0], [3.0, np.nan, 7.0]]))
+    array([[2., 6.]])
+    >>> halved(np.array([[0, 0, 1], [0, 0, 0], [7, 0, 0]]), labels=True)
+    array([[0, 1],
+           [7, 0]])
+    """
+    odd = [(0, size % 2) for size in values.shape[-2:]]
+    rows, columns = (np.s_[..., 0::2, :], np.s_[..., 1::2, :]), (np.s_[..., 0::2], np.s_[..., 1::2])
+    sides = [(0, 0)] * (values.ndim - 2) + odd
+    if labels or values.dtype.kind == "b":
+        padded = np.pad(values, sides, mode="edge")
+        tall = np.maximum(padded[rows[0]], padded[rows[1]])
+        return np.maximum(tall[columns[0]], tall[columns[1]])
+    if values.dtype.kind != "f":
+        padded = np.pad(values, sides, mode="edge").astype(np.float64)
+        return np.rint(_of_four(padded) / 4).astype(values.dtype)
+    padded = np.pad(values, sides, constant_values=np.nan)
+    known = ~np.isnan(padded)
+    counts = _of_four(known.astype(np.float32))
+    sums = _of_four(np.where(known, padded, 0).astype(np.promote_types(values.dtype, np.float32)))
+    with np.errstate(invalid="ignore"):
+        return (sums / counts).astype(values.dtype)
+
+
+def _of_four(values: NDArray[Any]) -> NDArray[Any]:
+    tall = values[..., 0::2, :] + values[..., 1::2, :]
+    return np.asarray(tall[..., 0::2] + tall[..., 1::2])

@@ -1,0 +1,115 @@
+"""How large a pixel of a TIFF is, how far its planes are apart: from what programs note in it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from typing import Any
+
+UNIT_OF_SYMBOL = {
+    "å": "angstrom",
+    "nm": "nanometer",
+    "um": "micrometer",
+    "micron": "micrometer",
+    "microns": "micrometer",
+    "micrometer": "micrometer",
+    "mm": "millimeter",
+    "cm": "centimeter",
+    "m": "meter",
+    "meter": "meter",
+    "inch": "inch",
+    "in": "inch",
+    "us": "microsecond",
+    "ms": "millisecond",
+    "msec": "millisecond",
+    "s": "second",
+    "sec": "second",
+    "min": "minute",
+    "h": "hour",
+    "hr": "hour",
+    "d": "day",
+}
+"""Units as OME-XML and ImageJ write them, in the spelling of UDUNITS that OME-Zarr takes."""
+
+_CENTIMETERS = 3
+_ESCAPED_MICRO = "\\u00B5"
+
+Scale = tuple[dict[str, float], dict[str, str]]
+
+
+def unit_of(symbol: str) -> str | None:
+    """Return a unit in the spelling of UDUNITS; None for what is none, such as "pixel".
+
+    Examples
+    --------
+    >>> unit_of("µm"), unit_of("sec"), unit_of("pixel")
+    ('micrometer', 'second', None)
+    """
+    plain = symbol.replace(_ESCAPED_MICRO, "u").strip().lower()
+    return UNIT_OF_SYMBOL.get(plain.replace("\u00b5", "u").replace("\u03bc", "u"))
+
+
+def scale_in_tiff(tiff: Any, series: int = 0) -> Scale:
+    """Return the scale of the axes that have one, and their units.
+
+    OME-XML is asked first, then ImageJ's description, then the resolution tags. A resolution in
+    dots an inch is the size of a print, and does not count.
+
+    Parameters
+    ----------
+    tiff : tifffile.TiffFile
+    series : int
+        Which picture of an OME-TIFF.
+
+    Returns
+    -------
+    scale : dict of str to float
+        By letter of axis: y, x, z, t.
+    units : dict of str to str
+        Of the same axes.
+    """
+    if tiff.ome_metadata:
+        return _ome_scale(tiff.ome_metadata, series)
+    if tiff.imagej_metadata:
+        return _imagej_scale(tiff.imagej_metadata, tiff.pages.first)
+    page = tiff.pages.first
+    if page.tags.valueof("ResolutionUnit") == _CENTIMETERS:
+        steps = {axis: 1e4 * step for axis, step in _steps_of_pixels(page).items()}
+        return steps, dict.fromkeys(steps, "micrometer")
+    return {}, {}
+
+
+def _ome_scale(text: str, series: int) -> Scale:
+    all_pixels = [e for e in ElementTree.fromstring(text).iter() if e.tag.endswith("}Pixels")]
+    if not all_pixels:
+        return {}, {}
+    noted = all_pixels[min(series, len(all_pixels) - 1)].attrib
+    found = [(axis, f"PhysicalSize{axis.upper()}", "µm") for axis in "zyx"]
+    steps = [
+        (axis, noted.get(name), noted.get(f"{name}Unit", default))
+        for axis, name, default in [*found, ("t", "TimeIncrement", "s")]
+    ]
+    return _with_units({axis: (float(step), unit) for axis, step, unit in steps if step})
+
+
+def _imagej_scale(noted: Mapping[str, Any], page: Any) -> Scale:
+    length = str(noted.get("unit", ""))
+    steps = {axis: (step, length) for axis, step in _steps_of_pixels(page).items()}
+    steps["z"] = (float(noted.get("spacing", 0)), str(noted.get("zunit", length)))
+    steps["t"] = (float(noted.get("finterval", 0)), str(noted.get("tunit", "s")))
+    return _with_units(steps)
+
+
+def _steps_of_pixels(page: Any) -> dict[str, float]:
+    steps = {}
+    for axis, tag in (("y", "YResolution"), ("x", "XResolution")):
+        pixels, length = page.tags.valueof(tag, default=(0, 1))
+        if pixels and length:
+            steps[axis] = length / pixels
+    return steps
+
+
+def _with_units(steps: Mapping[str, tuple[float, str]]) -> Scale:
+    told = {axis: unit_of(unit) for axis, (step, unit) in steps.items() if step > 0}
+    units = {axis: unit for axis, unit in told.items() if unit}
+    return {axis: steps[axis][0] for axis in units}, units
