@@ -7,6 +7,7 @@ the boundary moves to where the picture's colours change.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -29,6 +30,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
 Value = TypeVar("Value", bound=np.generic)
+ChangeAt = Callable[[Labels, Labels, Places], Float64]
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,7 @@ def label_pixels(
     jump: int,
     reach: int,
     fixed: Labels | None = None,
+    change_at: ChangeAt | None = None,
     progress: Progress = silent,
 ) -> Labels:
     """Label pixels on their own wherever neighbouring blocks differ by a jump.
@@ -164,6 +167,9 @@ def label_pixels(
         How far, in px, a boundary may move at once.
     fixed : (H, W) int32 ndarray, optional
         Labels that pixels must have, -1 where they are free.
+    change_at : callable, optional
+        Given the present labels, the offered ones and places in the flat picture, returns D of
+        the offer minus D of the present label there, instead of what `cost` says.
     progress : callable, optional
 
     Returns
@@ -171,14 +177,13 @@ def label_pixels(
     (H, W) int32 ndarray
     """
     pixels = blocks.spread(labels)
-    beside_jump = maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
+    beside_jump = _beside_jump(labels, jump)
     if fixed is not None:
         beside_jump |= blocks.count((fixed >= 0) & (fixed != pixels)) > 0
         pixels = np.where(fixed >= 0, fixed, pixels)
     if not beside_jump.any():
         return pixels
-    near = binary_dilation(beside_jump, iterations=-(-reach // blocks.side))
-    free = blocks.spread(near).astype(bool)
+    free = _around(beside_jump, blocks, reach)
     weights = pixel_weights(color, free, color_sigma, smoothness)
     if fixed is not None:
         free &= fixed < 0
@@ -190,10 +195,28 @@ def label_pixels(
             # Smaller steps are interpolated later, whichever side of them a pixel is on.
             place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
             proposal = _changed(pixels, place, proposal.ravel()[place])
-            change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            if change_at is None:
+                change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            else:
+                change = change_at(pixels, proposal, place)
             pixels = fuse(pixels, proposal, place, change, weights)
         left //= 2
     return pixels
+
+
+def near_jumps(labels: Labels, blocks: Blocks, jump: int, reach: int) -> Mask:
+    """Return which pixels `label_pixels` labels on their own: (H, W)."""
+    return _around(_beside_jump(labels, jump), blocks, reach)
+
+
+def _beside_jump(labels: Labels, jump: int) -> Mask:
+    return maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
+
+
+def _around(marked: Mask, blocks: Blocks, reach: int) -> Mask:
+    """Return the pixels of marked blocks and of those within reach, in px."""
+    near = binary_dilation(marked, iterations=-(-reach // blocks.side))
+    return blocks.spread(near).astype(bool)
 
 
 def _changed(values: Labels, place: Places, new: Labels) -> Labels:
