@@ -51,7 +51,7 @@ _SLOWEST, _FASTEST = 0.7, 8.0
 _LADDER = np.sqrt(2)
 _HALVINGS = 4
 _WINDOWS_FOR_SPEED = 800
-_LEAST_PEAK, _LEAST_RISE = 3.0, 1.5
+_LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 16
 _HALF_PLANE = 0.5
 
 
@@ -174,13 +174,25 @@ class Sweep:
             speeds = best * _LADDER ** (np.array([-0.5, 0.5]) / 2**halving)
         return float(best)
 
-    def _some_with_texture(self) -> Float32:
-        """Return the power of windows that show more in some plane than in most: (p, Z, B)."""
+    def excess(self) -> Float64:
+        """Return by how much each window's power rises above its median over the planes: (P,).
+
+        In units of the noise's, the mean over all frequencies: noise alone gives 0.4 to 0.9.
+        """
+        mean = self._mean_power()
+        return np.asarray(mean.max(axis=1) - np.median(mean, axis=1))
+
+    def _mean_power(self) -> Float32:
         members = self.bank.members.sum(axis=0)
-        mean = self.power @ (members / members.sum())
-        peak = mean.max(axis=1)
-        usual = np.median(mean, axis=1)
+        return self.power @ (members / members.sum())
+
+    def _some_with_texture(self) -> Float32:
+        """Return the power of windows that show much more in some plane than in most: (p, Z, B)."""
+        mean = self._mean_power()
+        peak, usual = mean.max(axis=1), np.median(mean, axis=1)
         shown = np.flatnonzero((peak > _LEAST_PEAK) & (peak > _LEAST_RISE * usual))
+        if len(shown) < _FEWEST_WINDOWS:
+            return self.power[:0]
         return self.power[shown[:: max(1, len(shown) // _WINDOWS_FOR_SPEED)]]
 
     def _deviance(

@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from napari_defocus.boundaries import (
     Blocks,
@@ -47,8 +47,10 @@ REACH = 6
 
 _DEPTH = np.float32(15)
 _CURVE_WEIGHT = np.float32(24)
-_NEIGHBORHOOD = 8.0
+_NEIGHBORHOOD = 4.0
 """px."""
+
+_CLEAR_EXCESS, _STEEPNESS = 1.4, 4.0
 
 _FINE = 1.0
 _SURROUNDINGS = 0.7
@@ -57,11 +59,10 @@ _DETAIL_DEPTH, _DETAIL_WEIGHT = np.float32(2), np.float32(180)
 _PIXEL_SMOOTHNESS = 0.2
 
 _TEMPER = 0.7
-_WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.5, -0.3, 1.0
+_WEIGHT_OF_MASS, _BIAS = 1.12, 4.07
 """Fitted by benchmarks/stacks.py."""
 
-_LEAST_ODDS, _LEAST_JUMP = 5e-4, 0.1
-_JUMP_SIDE = 15
+_LEAST_ODDS = 5e-4
 _ROUNDING = 1e-4
 _TINY = 1e-12
 
@@ -74,6 +75,8 @@ class FocusGrid:
     ----------
     cost : (R, C, L) float32 ndarray
         Of each position, in units of log-likelihood.
+    excess : (R, C) ndarray
+        By how much the power of the sharpest plane is above the median's, in units of noise.
     steps : int
         Labels from plane to plane.
     blocks : Blocks
@@ -83,6 +86,7 @@ class FocusGrid:
     """
 
     cost: Float32
+    excess: Float64
     steps: int
     blocks: Blocks
     stride: int
@@ -98,8 +102,13 @@ class FocusGrid:
 
     @cached_property
     def informed(self) -> Float32:
-        """How far there is evidence around each window, from 0 to 1: (R, C)."""
-        return informed_share(np.ptp(self._averaged, axis=2))
+        """How far there is evidence around each window, from 0 to 1: (R, C).
+
+        Among many planes noise alone has a sharpest one: some power has to rise above it.
+        """
+        rise = gaussian_filter(self.excess, _NEIGHBORHOOD / self.stride)
+        seen = 1 - np.exp(-((rise / _CLEAR_EXCESS) ** _STEEPNESS))
+        return informed_share(np.ptp(self._averaged, axis=2)) * seen.astype(np.float32)
 
     def position(
         self,
@@ -182,17 +191,15 @@ class FocusGrid:
 
         As `confidence_map` does for radii: from the share of the likelihood, limited in depth
         and averaged over the neighbouring windows, that lies within half a plane of the
-        position; and from the largest difference of positions within 15 px.
+        position. Without evidence it is the share of all positions that do.
         """
         rows, columns = (
             np.rint(centers).astype(int)
             for centers in (self.blocks.row_centers, self.blocks.column_centers)
         )
-        jump = maximum_filter(position, _JUMP_SIDE) - minimum_filter(position, _JUMP_SIDE)
-        windows = np.ix_(rows, columns)
-        odds, prior = self.odds(position[windows])
-        logit = _WEIGHT_OF_MASS * odds + _WEIGHT_OF_JUMP * np.log(jump[windows] + _LEAST_JUMP)
-        sure = self.informed / (1 + np.exp(-logit - _BIAS)) + (1 - self.informed) * prior
+        odds, prior = self.odds(position[np.ix_(rows, columns)])
+        likely = 1 / (1 + np.exp(-_WEIGHT_OF_MASS * odds - _BIAS))
+        sure = self.informed * likely + (1 - self.informed) * prior
         places = np.meshgrid(*self.blocks.positions, indexing="ij")
         return np.clip(map_coordinates(sure.astype(np.float32), places, order=1), 0, 1)
 

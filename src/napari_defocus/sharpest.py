@@ -188,7 +188,8 @@ def sharpest_plane(
     positions = np.arange((len(planes) - 1) * steps + 1) / steps
     cost = sweep.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
     blocks = Blocks.around(bank.rows, bank.columns, (height, width))
-    grid = FocusGrid(cost, steps, blocks, stride)
+    excess = sweep.excess().reshape(cost.shape[:2])
+    grid = FocusGrid(cost, excess, steps, blocks, stride)
     position = grid.position(
         read,
         color,
