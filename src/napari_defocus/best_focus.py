@@ -50,8 +50,8 @@ _SLOWEST, _FASTEST = 0.7, 8.0
 
 _LADDER = np.sqrt(2)
 _HALVINGS = 4
-_WINDOWS_FOR_SPEED = 800
-_LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 16
+_WINDOWS_FOR_SPEED = 400
+_LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 8
 _HALF_PLANE = 0.5
 
 
@@ -117,8 +117,8 @@ class Sweep:
 
     Attributes
     ----------
-    power : (P, Z, B) float32 ndarray
-        Of P windows, Z planes and B rings, relative to the noise.
+    power : (P, B, Z) float32 ndarray
+        Of P windows, B rings and Z planes, relative to the noise.
     bank : RingBank
     noise_variance : float
         Of all planes.
@@ -137,9 +137,9 @@ class Sweep:
     ) -> Sweep:
         """Join what `RingBank.power` has found in each plane."""
         variance = max(noise_variance, _LEAST_NOISE)
-        power = np.empty((planes[0][..., 0].size, len(planes), planes[0].shape[2]), np.float32)
+        power = np.empty((planes[0][..., 0].size, planes[0].shape[2], len(planes)), np.float32)
         for number, plane in enumerate(planes):
-            power[:, number] = plane.reshape(len(power), -1) / np.float32(variance)
+            power[..., number] = plane.reshape(len(power), -1) / np.float32(variance)
         return cls(power, bank, variance, gain)
 
     def cost(self, positions: Float64, px_per_plane: float) -> Float32:
@@ -161,7 +161,7 @@ class Sweep:
         power = self._some_with_texture()
         if not len(power):
             return float("nan")
-        planes = power.shape[1]
+        planes = power.shape[2]
         positions = np.arange(0, planes - 1 + _HALF_PLANE / 2, _HALF_PLANE)
         rungs = int(np.ceil(np.log(_FASTEST * (planes - 1) / _SLOWEST) / np.log(_LADDER)))
         speeds = _FASTEST * _LADDER ** -np.arange(rungs + 1.0)
@@ -184,10 +184,10 @@ class Sweep:
 
     def _mean_power(self) -> Float32:
         members = self.bank.members.sum(axis=0)
-        return self.power @ (members / members.sum())
+        return np.einsum("pbz,b->pz", self.power, members / members.sum())
 
     def _some_with_texture(self) -> Float32:
-        """Return the power of windows that show much more in some plane than in most: (p, Z, B)."""
+        """Return the power of windows that show much more in some plane than in most: (p, B, Z)."""
         mean = self._mean_power()
         peak, usual = mean.max(axis=1), np.median(mean, axis=1)
         shown = np.flatnonzero((peak > _LEAST_PEAK) & (peak > _LEAST_RISE * usual))
@@ -202,9 +202,9 @@ class Sweep:
         rings = range(self.bank.blur.shape[1])
         blur = np.stack(
             [np.interp(radius, self.bank.scales, self.bank.blur[:, ring]) for ring in rings],
-            axis=-1,
+            axis=1,
         )
-        blur *= (self.gain**2 / self.noise_variance)[:, None]
+        blur *= self.gain**2 / self.noise_variance
         members = self.bank.members.sum(axis=0)
         return _deviances(power, blur.astype(np.float32), members)
 
@@ -213,10 +213,10 @@ class Sweep:
 def _deviances(power: Float32, blur: Float32, members: Float32) -> tuple[Float32, Float32]:
     """Return the deviance for every position, (P, L), and the dispersion of every window, (P,).
 
-    `blur`, (L, Z, B), is what a power of 1 would show, in units of noise, if a place were in
+    `blur`, (L, B, Z), is what a power of 1 would show, in units of noise, if a place were in
     focus at each position. Every ring's own power is found by least squares, then by scoring.
     """
-    windows, planes, rings = power.shape
+    windows, rings, planes = power.shape
     positions, one, zero = blur.shape[0], np.float32(1), np.float32(0)
     deviance = np.empty((windows, positions), np.float32)
     dispersion = np.empty(windows, np.float32)
@@ -226,10 +226,10 @@ def _deviances(power: Float32, blur: Float32, members: Float32) -> tuple[Float32
         for position in range(positions):
             total = zero
             for ring in range(rings):
-                strength = _strength(seen[:, ring], blur[position, :, ring])
+                strength = _strength(seen[ring], blur[position, ring])
                 for plane in range(planes):
-                    expected = one + strength * blur[position, plane, ring]
-                    ratio = max(seen[plane, ring], _LEAST_POWER) / expected
+                    expected = one + strength * blur[position, ring, plane]
+                    ratio = max(seen[ring, plane], _LEAST_POWER) / expected
                     total += members[ring] * min(ratio - one - np.log(ratio), _MOST_DEVIANCE)
             deviance[window, position] = total
         least = deviance[window].min()

@@ -169,7 +169,8 @@ def label_pixels(
         Labels that pixels must have, -1 where they are free.
     change_at : callable, optional
         Given the present labels, the offered ones and places in the flat picture, returns D of
-        the offer minus D of the present label there, instead of what `cost` says.
+        the offer minus D of the present label there, instead of what `cost` says; NaN leaves
+        it at that.
     progress : callable, optional
 
     Returns
@@ -177,13 +178,14 @@ def label_pixels(
     (H, W) int32 ndarray
     """
     pixels = blocks.spread(labels)
-    beside_jump = _beside_jump(labels, jump)
+    beside_jump = maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
     if fixed is not None:
         beside_jump |= blocks.count((fixed >= 0) & (fixed != pixels)) > 0
         pixels = np.where(fixed >= 0, fixed, pixels)
     if not beside_jump.any():
         return pixels
-    free = _around(beside_jump, blocks, reach)
+    near = binary_dilation(beside_jump, iterations=-(-reach // blocks.side))
+    free = blocks.spread(near).astype(bool)
     weights = pixel_weights(color, free, color_sigma, smoothness)
     if fixed is not None:
         free &= fixed < 0
@@ -195,28 +197,13 @@ def label_pixels(
             # Smaller steps are interpolated later, whichever side of them a pixel is on.
             place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
             proposal = _changed(pixels, place, proposal.ravel()[place])
-            if change_at is None:
-                change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
-            else:
-                change = change_at(pixels, proposal, place)
+            change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            if change_at is not None:
+                own = change_at(pixels, proposal, place)
+                change = np.where(np.isnan(own), change, own)
             pixels = fuse(pixels, proposal, place, change, weights)
         left //= 2
     return pixels
-
-
-def near_jumps(labels: Labels, blocks: Blocks, jump: int, reach: int) -> Mask:
-    """Return which pixels `label_pixels` labels on their own: (H, W)."""
-    return _around(_beside_jump(labels, jump), blocks, reach)
-
-
-def _beside_jump(labels: Labels, jump: int) -> Mask:
-    return maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
-
-
-def _around(marked: Mask, blocks: Blocks, reach: int) -> Mask:
-    """Return the pixels of marked blocks and of those within reach, in px."""
-    near = binary_dilation(marked, iterations=-(-reach // blocks.side))
-    return blocks.spread(near).astype(bool)
 
 
 def _changed(values: Labels, place: Places, new: Labels) -> Labels:

@@ -19,14 +19,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 
 from napari_defocus.boundaries import (
     Blocks,
     ChangeAt,
     interpolate_labels,
     label_pixels,
-    near_jumps,
 )
 from napari_defocus.evidence import informed_share
 from napari_defocus.graphcut import Labels, Mask, Places, minimize_energy
@@ -57,6 +56,9 @@ _SURROUNDINGS = 0.7
 _LEAST_ENERGY = np.float32(1e-9)
 _DETAIL_DEPTH, _DETAIL_WEIGHT = np.float32(2), np.float32(180)
 _PIXEL_SMOOTHNESS = 0.2
+
+_CLEAR_JUMP = 4.0
+"""Planes, within reach: beside smaller jumps, and on slopes, windows know better."""
 
 _TEMPER = 0.7
 _WEIGHT_OF_MASS, _BIAS = 1.12, 4.07
@@ -142,7 +144,9 @@ class FocusGrid:
         labels = minimize_energy(
             data * blocks.area[..., None], weights, within(progress, 0, 0.5, "Choosing planes")
         )
-        near = near_jumps(labels, blocks, jump, REACH)
+        reach = 2 * (-(-REACH // self.stride)) + 1
+        spread = maximum_filter(labels, reach) - minimum_filter(labels, reach)
+        near = blocks.spread(spread >= _CLEAR_JUMP * self.steps)
         pixels = label_pixels(
             labels,
             data,
@@ -176,7 +180,7 @@ class FocusGrid:
             detail[:, number] = np.log(fine_detail(read(number), _SURROUNDINGS)[near])
         lack = np.minimum(detail.max(axis=1, keepdims=True) - detail, _DETAIL_DEPTH)
         lack *= _DETAIL_WEIGHT
-        row_of = np.cumsum(near.ravel()) - 1
+        row_of = np.maximum(np.cumsum(near.ravel()) - 1, 0)
 
         def cost(labels: Labels, place: Places) -> Float64:
             plane, between = np.divmod(labels.ravel()[place], self.steps)
@@ -184,7 +188,11 @@ class FocusGrid:
             after = np.minimum(plane + 1, planes - 1)
             return np.asarray((1 - share) * lack[row, plane] + share * lack[row, after])
 
-        return lambda now, new, place: cost(new, place) - cost(now, place)
+        def change(now: Labels, new: Labels, place: Places) -> Float64:
+            change = cost(new, place) - cost(now, place)
+            return np.where(near.ravel()[place], change, np.nan)
+
+        return change
 
     def confidence(self, position: Float32) -> Float32:
         """Return the probability that each position is within half a plane of the true one.

@@ -32,6 +32,9 @@ Float64 = NDArray[np.float64]
 WINDOW = 17
 """px: planes are compared with each other, which needs no resolution in frequency."""
 
+_SPEED_WINDOW, _SPEED_STRIDE = 33, 8
+"""px: how fast the blur grows is told by its absolute width, which does need resolution."""
+
 _STEPS, _PX_A_STEP = 4, 0.125
 _ASSUMED_SPEED = 1.0
 _DETAIL_AREA = 2.0
@@ -179,9 +182,10 @@ def sharpest_plane(
     read = _Reader(planes, intensity_range, linearize)
     height, width = planes.shape[:2]
     bank = RingBank.over((height, width), psf, window, stride)
-    sweep, color = _look(read, bank, noise_variance, within(progress, 0.0, 0.4))
+    coarse = RingBank.over((height, width), psf, max(window, _SPEED_WINDOW), _SPEED_STRIDE)
+    (sweep, wide), color = _look(read, (bank, coarse), noise_variance, within(progress, 0.0, 0.4))
     progress("Finding the blur from plane to plane", 0.4)
-    speed = sweep.px_per_plane() if px_per_plane is None else float(px_per_plane)
+    speed = wide.px_per_plane() if px_per_plane is None else float(px_per_plane)
     usable = speed if math.isfinite(speed) else _ASSUMED_SPEED
     progress("Comparing the planes", 0.45)
     steps = int(np.clip(usable / _PX_A_STEP, 1, _STEPS))
@@ -239,17 +243,21 @@ class _Reader:
 
 
 def _look(
-    read: _Reader, bank: RingBank, noise_variance: float | None, progress: Progress
-) -> tuple[Sweep, Float32]:
+    read: _Reader,
+    banks: tuple[RingBank, ...],
+    noise_variance: float | None,
+    progress: Progress,
+) -> tuple[list[Sweep], Float32]:
     """Read all planes: their power, and each pixel's colour where it has the most detail."""
-    power: list[Float32] = []
+    power: list[list[Float32]] = [[] for _ in banks]
     noise, brightness = [], []
     most, color = np.zeros((0, 0), np.float32), np.zeros((0, 0, 0), np.float32)
     count = len(read.planes)
     for number in range(count):
         progress("Reading the planes", number / count)
         picture = read(number)
-        power.append(bank.power(picture))
+        for found, bank in zip(power, banks, strict=True):
+            found.append(bank.power(picture))
         noise.append(noise_variance_of(picture) if noise_variance is None else noise_variance)
         brightness.append(float(picture.luminance.mean()))
         detail = fine_detail(picture, _DETAIL_AREA)
@@ -258,7 +266,11 @@ def _look(
         else:
             sharper = detail > most
             color[sharper], most[sharper] = picture.color[sharper], detail[sharper]
-    return Sweep.of(power, bank, float(np.median(noise)), _gains(np.array(brightness))), color
+    variance, gain = float(np.median(noise)), _gains(np.array(brightness))
+    sweeps = [
+        Sweep.of(found, bank, variance, gain) for found, bank in zip(power, banks, strict=True)
+    ]
+    return sweeps, color
 
 
 def _gains(brightness: Float64) -> Float64:
