@@ -4,11 +4,11 @@ A label is a position in the stack, a quarter of a plane from the next one. Labe
 those of a blur map are, with `best_focus` as data term: a minimum of (14), the penalty (15) per
 label step, the weights (16) from a picture that is sharp everywhere.
 
-Beside jumps, windows see both sides, and the sharper texture wins. There each pixel is asked
-itself: how much less fine detail its surroundings of 2 px have at a position than at the one
-where they have most. Blur never adds detail, but light from across an edge does: the peak is
-right more often than the fit of the whole curve, which such light misleads (93 against 71 to
-86 % of pixels up to 12 px from a jump).
+Beside clear jumps, windows see both sides, and the sharper texture wins. There each pixel is
+asked itself: how much less fine detail it has at a position than at the one where it has most.
+Blur never adds detail, but light from across an edge does: up to 12 px from a jump the peak was
+right at 86 to 98 % of the pixels, where the fit of the whole curve, which such light misleads,
+was at 70 to 86 % (noise 1e-6).
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class FocusGrid:
         return np.clip(scale / np.float32(LABEL_STEP * self.steps), 0, np.float32(last))
 
     def _by_detail(self, read: ReadPlane, near: Mask, progress: Progress) -> ChangeAt | None:
-        """Return what a change of label costs pixels by their own fine detail."""
+        """Return what a change of label costs by the pixels' own fine detail; NaN elsewhere."""
         if not near.any():
             return None
         planes = (self.cost.shape[2] - 1) // self.steps + 1
