@@ -186,7 +186,11 @@ def sharpest_plane(
     coarse = RingBank.over((height, width), psf, max(window, _SPEED_WINDOW), _SPEED_STRIDE)
     (sweep, wide), color = _look(read, (bank, coarse), noise_variance, within(progress, 0.0, 0.4))
     progress("Finding the blur from plane to plane", 0.4)
-    speed = wide.px_per_plane() if px_per_plane is None else float(px_per_plane)
+    if px_per_plane is None:
+        # What a window mixes, in scale or in frequency, makes the blur seem to grow slower.
+        speed = float(np.fmax(sweep.px_per_plane(), wide.px_per_plane()))
+    else:
+        speed = float(px_per_plane)
     usable = speed if math.isfinite(speed) else _ASSUMED_SPEED
     progress("Comparing the planes", 0.45)
     steps = int(np.clip(usable / _PX_A_STEP, 1, _STEPS))
