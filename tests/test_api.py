@@ -29,6 +29,7 @@ PUBLIC = {
     "Polygon",
     "RegionTable",
     "Settings",
+    "SharpestPlane",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",
@@ -53,6 +54,7 @@ PUBLIC = {
     "psf_from_text",
     "restore_all_in_focus",
     "segment_in_focus",
+    "sharpest_plane",
     "simulate_defocus",
     "simulate_layered_defocus",
 }
@@ -115,6 +117,7 @@ RESULTS = {
     "PSFFamily",
     "RegionTable",
     "PixelExplanation",
+    "SharpestPlane",
 }
 
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from napari_defocus.restoration import restore_all_in_focus
     from napari_defocus.segmentation import segment_in_focus
     from napari_defocus.settings_file import Settings
+    from napari_defocus.sharpest import SharpestPlane, sharpest_plane
     from napari_defocus.simulation import simulate_defocus
     from napari_defocus.spectrum import FitReport, fit_report
     from napari_defocus.surface import DepthSurface, depth_surface
@@ -60,6 +61,7 @@ _HOME_OF = {
     "Polygon": "psf",
     "RegionTable": "regions",
     "Settings": "settings_file",
+    "SharpestPlane": "sharpest",
     "ShotNoise": "noise",
     "ThinLens": "depth",
     "blur_from_depth": "depth",
@@ -84,6 +86,7 @@ _HOME_OF = {
     "psf_from_text": "psf_text",
     "restore_all_in_focus": "restoration",
     "segment_in_focus": "segmentation",
+    "sharpest_plane": "sharpest",
     "simulate_defocus": "simulation",
     "simulate_layered_defocus": "layered",
 }
@@ -107,6 +110,7 @@ __all__ = [
     "Polygon",
     "RegionTable",
     "Settings",
+    "SharpestPlane",
     "ShotNoise",
     "ThinLens",
     "blur_from_depth",
@@ -131,6 +135,7 @@ __all__ = [
     "psf_from_text",
     "restore_all_in_focus",
     "segment_in_focus",
+    "sharpest_plane",
     "simulate_defocus",
     "simulate_layered_defocus",
 ]

@@ -7,6 +7,7 @@ the boundary moves to where the picture's colours change.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -29,6 +30,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
 Value = TypeVar("Value", bound=np.generic)
+ChangeAt = Callable[[Labels, Labels, Places], Float64]
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,7 @@ def label_pixels(
     jump: int,
     reach: int,
     fixed: Labels | None = None,
+    change_at: ChangeAt | None = None,
     progress: Progress = silent,
 ) -> Labels:
     """Label pixels on their own wherever neighbouring blocks differ by a jump.
@@ -164,6 +167,10 @@ def label_pixels(
         How far, in px, a boundary may move at once.
     fixed : (H, W) int32 ndarray, optional
         Labels that pixels must have, -1 where they are free.
+    change_at : callable, optional
+        Given the present labels, the offered ones and places in the flat picture, returns D of
+        the offer minus D of the present label there, instead of what `cost` says; NaN leaves
+        it at that.
     progress : callable, optional
 
     Returns
@@ -191,6 +198,9 @@ def label_pixels(
             place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
             proposal = _changed(pixels, place, proposal.ravel()[place])
             change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            if change_at is not None:
+                own = change_at(pixels, proposal, place)
+                change = np.where(np.isnan(own), change, own)
             pixels = fuse(pixels, proposal, place, change, weights)
         left //= 2
     return pixels

@@ -73,22 +73,66 @@ def refine_labels(
     (R, C) float32 ndarray
         In px.
     """
-    spacing = candidates.stride / _REFERENCE_STRIDE
     elsewhere = candidates.displacement() > candidates.stride
-    independent = spacing**2 * np.where(elsewhere, _SAY_OF_DISPLACED, 1.0)
+    return refine_curves(
+        candidates.curve,
+        labels,
+        weights,
+        jump,
+        stride=candidates.stride,
+        strength=smoothness / MapSettings.smoothness,
+        say=np.where(elsewhere, _SAY_OF_DISPLACED, 1.0),
+        progress=progress,
+    )
+
+
+def refine_curves(
+    curve: Float32,
+    labels: Labels,
+    weights: Float32,
+    jump: int,
+    *,
+    stride: int,
+    strength: float = 1.0,
+    say: Float64 | None = None,
+    progress: Progress = silent,
+) -> Float32:
+    """Find what lies between labels on a grid of any curves of log-likelihood.
+
+    Parameters
+    ----------
+    curve : (R, C, L) float32 ndarray
+        Log-likelihood of each label; a label counts as 0.1 px.
+    labels, weights, jump
+        As in `refine_labels`.
+    stride : int
+        Distance between the grid's places, in px.
+    strength : float, optional
+        Of both lambdas above, against the default.
+    say : (R, C) float64 ndarray, optional
+        How much each place counts, 1 by default.
+    progress : callable, optional
+
+    Returns
+    -------
+    (R, C) float32 ndarray
+        0.1 times a label, and between.
+    """
+    spacing = stride / _REFERENCE_STRIDE
+    independent = spacing**2 * (np.ones(labels.shape) if say is None else say)
+    scales = LABEL_STEP * np.arange(curve.shape[2])
     scale = LABEL_STEP * labels.astype(np.float64)
-    overlap = -(-_OVERLAP // candidates.stride)
+    overlap = -(-_OVERLAP // stride)
     tiles = list(_tiles(labels.shape, overlap))
     for done, (inner, around, inner_of_around) in enumerate(tiles):
         progress("Smoothing out the steps", done / len(tiles))
-        form = _smoothness_form(labels[around], weights[:, *around], jump, spacing)
-        form *= smoothness / MapSettings.smoothness
+        form = strength * _smoothness_form(labels[around], weights[:, *around], jump, spacing)
         start = LABEL_STEP * labels[around].astype(np.float64)
-        curve = candidates.curve[around].reshape(start.size, -1)
-        solved = _solve(start.ravel(), curve, candidates.scales, form, independent[around].ravel())
+        near = curve[around].reshape(start.size, -1)
+        solved = _solve(start.ravel(), near, scales, form, independent[around].ravel())
         scale[inner] = solved.reshape(start.shape)[inner_of_around]
     progress("Smoothing out the steps", 1.0)
-    return np.clip(scale, 0, candidates.scales[-1]).astype(np.float32)
+    return np.clip(scale, 0, scales[-1]).astype(np.float32)
 
 
 def _tiles(shape: tuple[int, int], overlap: int) -> Iterator[tuple[Slices, Slices, Slices]]:
