@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import dctn
 from scipy.ndimage import correlate1d, uniform_filter
 from scipy.optimize import nnls
-from scipy.stats import ttest_ind
 
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.settings import Linearize, MapSettings
@@ -249,11 +248,18 @@ def _blockiness(steps: NDArray[np.floating]) -> tuple[int, float]:
     log_steps = np.log(steps + _LEAST_STEP)
     bend = log_steps[1:-1] - 0.5 * (log_steps[:-2] + log_steps[2:])
     line = (np.arange(len(bend)) + 2) % _BLOCK
-    scores = [
-        ttest_ind(bend[line == k], bend[line != k], equal_var=False).statistic
-        for k in range(_BLOCK)
-    ]
+    scores = [_welch(bend[line == k], bend[line != k]) for k in range(_BLOCK)]
     return int(np.argmax(scores)), float(max(scores))
+
+
+def _welch(some: Float64, others: Float64) -> float:
+    """Return the t-score of a difference of means, variances unequal (Welch, Biometrika 34, 1947).
+
+    As `scipy.stats.ttest_ind`, which takes thirty times as long to get there; NaN for constants.
+    """
+    squared_error = sum(values.var(ddof=1) / len(values) for values in (some, others))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float((some.mean() - others.mean()) / np.sqrt(squared_error))
 
 
 def _quantization_step(luminance: Float32, origin: tuple[int, int]) -> float:
