@@ -342,3 +342,18 @@ def test_picture_for_a_display_is_decoded_into_linear_light(clouds, defocused):
 def test_function_is_a_psf_family(blurred, candidates):
     found = estimate_candidates(blurred, psf=Disc().kernel, noise_variance=NOISE)
     np.testing.assert_allclose(found.curve, candidates.curve, atol=0.01)
+
+
+@pytest.mark.parametrize(("height", "width"), [(240, 260), (239, 262)])
+def test_part_of_a_picture_has_exactly_its_candidates(clouds, defocused, height, width):
+    blurred = defocused(np.pad(clouds, 60, mode="reflect")[:height, :width], 3)
+    picture = np.stack([blurred, blurred[::-1], np.flip(blurred)], axis=2)
+    whole = estimate_candidates(picture, noise_variance=NOISE)
+    stop = (180 - -height % 4, 200 - -width % 4)
+    part = estimate_candidates(picture[12 : stop[0], 32 : stop[1]], noise_variance=NOISE)
+    inside = slice(7, -7)  # of windows that are not moved from a border
+    of_whole = np.s_[3 + 7 : 45 - 7, 8 + 7 : 50 - 7]
+    for name in ("curve", "radii", "log_likelihoods"):
+        np.testing.assert_array_equal(
+            getattr(part, name)[inside, inside], getattr(whole, name)[of_whole], err_msg=name
+        )
