@@ -18,6 +18,7 @@ from napari_defocus import (
     explanation_commands,
     lens_commands,
     restoration_commands,
+    stack_commands,
 )
 from napari_defocus.commands import (
     AsJson,
@@ -435,5 +436,6 @@ app.command("restore", cls=SettingsCommand)(restoration_commands.restore)
 app.command("refocus", cls=SettingsCommand)(restoration_commands.refocus)
 app.command("depth")(depth_commands.depth)
 app.command("explain")(explanation_commands.explain)
+app.command("sharpest")(stack_commands.sharpest)
 app.command("calibrate")(lens_commands.calibrate)
 app.command("compare-psf")(lens_commands.compare)
