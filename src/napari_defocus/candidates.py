@@ -25,6 +25,7 @@ from napari_defocus.settings import (
     Spectra,
     check_mode,
     check_noise_variance,
+    check_stride,
 )
 from napari_defocus.spectrum import (
     LABEL_STEP,
@@ -379,8 +380,7 @@ def _check_settings(
     if not isinstance(noise_variance, ShotNoise):
         check_noise_variance(noise_variance)
     check_mode(mode)
-    if not isinstance(stride, (int, np.integer)) or not 1 <= stride <= window:
-        raise ValueError(f"stride is {stride}; it takes a whole number of px from 1 to {window}")
+    check_stride(stride, window)
     if spectra not in get_args(Spectra):
         raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
     if search not in get_args(Search):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:
@@ -253,6 +253,12 @@ def check_noise_variance(noise_variance: float | None) -> None:
         raise ValueError(
             f"noise_variance is {noise_variance}; it takes a finite number from 0 up, or None"
         )
+
+
+def check_stride(stride: Any, window: int) -> None:
+    """Check the distance between analysed windows against their side, in px."""
+    if not isinstance(stride, Integral) or not 1 <= int(stride) <= window:
+        raise ValueError(f"stride is {stride}; it takes a whole number of px from 1 to {window}")
 
 
 def check_weights(smoothness: float, color_sigma: float) -> None:

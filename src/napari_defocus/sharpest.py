@@ -21,6 +21,7 @@ from napari_defocus.settings import (
     MapSettings,
     check_linearize,
     check_noise_variance,
+    check_stride,
     check_weights,
 )
 from napari_defocus.spectrum import check_windows
@@ -229,8 +230,7 @@ def _check_settings(
             f"px_per_plane is {px_per_plane}; it takes a finite number above 0, or None"
         )
     check_noise_variance(noise_variance)
-    if not isinstance(stride, int | np.integer) or not 1 <= stride <= window:
-        raise ValueError(f"stride is {stride}; it takes a whole number of px from 1 to {window}")
+    check_stride(stride, window)
 
 
 @dataclass(frozen=True)
