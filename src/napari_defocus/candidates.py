@@ -11,18 +11,23 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
+from napari_defocus.axes import arranged_image
 from napari_defocus.gabor import gradients, local_power, padding, window_centers, within_picture
 from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.lazy_arrays import need_large_extra
 from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood, refine_maxima
-from napari_defocus.noise import ShotNoise, noise_variance_of
+from napari_defocus.noise import ShotNoise, mean_shot_noise, noise_variance_of
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.reference import fixed_point_maxima
 from napari_defocus.settings import (
+    BLOCK_SIZE,
     Linearize,
     MapSettings,
     Mode,
     Spectra,
+    check_block_size,
+    check_linearize,
     check_mode,
     check_noise_variance,
     check_stride,
@@ -205,6 +210,23 @@ class BlurCandidates:
         return float(top), float(left), float(bottom), float(right)
 
 
+def as_lazy(candidates: Any) -> Any:
+    """Return candidates that are `LazyCandidates`, of a stack or of a dask array; else None.
+
+    Raises
+    ------
+    TypeError
+        If they are no candidates at all.
+    """
+    if isinstance(candidates, BlurCandidates):
+        return None
+    if not hasattr(candidates, "results"):
+        raise TypeError(
+            f"candidates is {type(candidates).__name__}; it takes what estimate_candidates returns"
+        )
+    return candidates
+
+
 def check_place(row: float, column: float, shape: tuple[int, int]) -> None:
     """Check that a place, in px, is in a picture of a height and width."""
     height, width = shape
@@ -227,6 +249,9 @@ def estimate_candidates(
     search: Search = "lattice",
     linearize: Linearize | None = MapSettings.linearize,
     intensity_range: tuple[float, float] | None = None,
+    axes: str | None = None,
+    channel_axis: int | None = None,
+    block_size: int = BLOCK_SIZE,
     progress: Progress = silent,
 ) -> BlurCandidates:
     """Estimate which blur scales are likely around every place of a picture.
@@ -239,9 +264,10 @@ def estimate_candidates(
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
         Any real dtype; integers are scaled by their dtype's range, floats are taken as
-        [0, 1]. A fourth channel is opacity: fully transparent pixels carry no evidence.
+        [0, 1]. A fourth channel is opacity: fully transparent pixels carry no evidence. A stack
+        of pictures if `axes` or `channel_axis` says so.
     psf : PSFFamily or callable, optional
         The family of PSFs; a disc of up to 8 px by default. A function from a scale in px, up
         to 8, to a kernel is a family too.
@@ -267,12 +293,21 @@ def estimate_candidates(
         for displays are not.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
+    axes : str, optional
+        A letter for each axis of `image`: y, x, s for colours, any others for planes, such as
+        "tzyx". Each plane is a picture of its own.
+    channel_axis : int, optional
+        Instead: the axis of the colours; the last two of the others are rows and columns.
+    block_size : int, optional
+        Side, in px, of the parts in which planes of stacks and dask arrays are worked on;
+        memory is bounded by it.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
     Returns
     -------
-    BlurCandidates
+    BlurCandidates or LazyCandidates
+        The latter of stacks and dask arrays: what the other functions take instead.
 
     Raises
     ------
@@ -301,13 +336,56 @@ def estimate_candidates(
     """
     psf = check_windows(psf, window)
     _check_settings(noise_variance, window, stride, mode, spectra, search)
+    check_block_size(block_size)
+    image, roles = arranged_image(image, axes, channel_axis)
+    if roles:
+        need_large_extra()
+        from napari_defocus.block_tasks import Estimation
+        from napari_defocus.blocks import LazyCandidates
+
+        check_linearize(linearize)
+        how = Estimation(psf, window, stride, mode, spectra, search, linearize, intensity_range)
+        lazy: Any = LazyCandidates.of(image, roles, how, noise_variance, block_size)
+        return lazy
     picture = prepare_image(image, intensity_range, linearize)
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
         noise_variance = noise_variance_of(picture)
     shot_noise = noise_variance if isinstance(noise_variance, ShotNoise) else None
     if isinstance(noise_variance, ShotNoise):
-        noise_variance = float(noise_variance.variance_at(picture.luminance).mean())
+        noise_variance = mean_shot_noise(picture, noise_variance)
+    return candidates_of(
+        picture,
+        psf=psf,
+        noise_variance=float(noise_variance),
+        shot_noise=shot_noise,
+        window=window,
+        stride=stride,
+        mode=mode,
+        spectra=spectra,
+        search=search,
+        progress=progress,
+    )
+
+
+def candidates_of(
+    picture: PreparedImage,
+    *,
+    psf: PSFFamily,
+    noise_variance: float,
+    shot_noise: ShotNoise | None,
+    window: int,
+    stride: int,
+    mode: Mode,
+    spectra: Spectra = "exact",
+    search: Search | None = "lattice",
+    progress: Progress = silent,
+) -> BlurCandidates:
+    """Do the work of `estimate_candidates`, which see, on a prepared picture.
+
+    `noise_variance` is the mean over the whole picture if there is `shot_noise`. Without a
+    `search` no maxima are looked for, only the curves: the radii are NaN.
+    """
     gradient = gradients(picture.luminance, picture.opaque, window)
     grid = _AnalysisGrid.over(picture.shape, window, stride)
     fractions = grid.rows[0] % 1, grid.columns[0] % 1
@@ -339,10 +417,13 @@ def estimate_candidates(
             block_radii, block_heights = local_maxima(
                 points, block_curve, table, scales, noise_variance, dispersion
             )
-        else:
+        elif search == "fixed-point":
             block_radii, block_heights = fixed_point_maxima(
                 points, table, noise_variance, dispersion
             )
+        else:
+            block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
+            block_heights = np.full_like(block_radii, -np.inf)
         if opaque is not None:
             _silence_transparent(opaque[block].ravel(), block_radii, block_heights, block_curve)
         for result, values in (
@@ -361,7 +442,7 @@ def estimate_candidates(
         window_centers(picture.shape[1], stride),
         picture.shape,
         psf,
-        float(noise_variance),
+        noise_variance,
         window,
         stride,
         mode,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 
-from napari_defocus.candidates import BlurCandidates
+from napari_defocus.candidates import BlurCandidates, as_lazy
 from napari_defocus.evidence import averaged_curve, informed_share
 from napari_defocus.settings import RestorationSettings, check_risk
 
@@ -42,7 +42,7 @@ def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
 
     Parameters
     ----------
-    candidates : BlurCandidates
+    candidates : BlurCandidates or LazyCandidates
         Of the mode "curve"; the likelihood of the mode "paper" is too sure of itself.
     blur_map : (H, W) array_like
         From `label_blur_map` with these candidates, in px.
@@ -50,7 +50,7 @@ def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     Returns
     -------
     (H, W) float32 ndarray
-        In [0, 1].
+        In [0, 1]. Of a stack (..., H, W), and a dask array if one came in.
 
     Raises
     ------
@@ -69,6 +69,9 @@ def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     >>> confidence_map(candidates, label_blur_map(candidates, picture)).shape
     (100, 100)
     """
+    lazy = as_lazy(candidates)
+    if lazy is not None:
+        return lazy.judged(blur_map)["confidence"]
     radius = checked_map(blur_map, candidates.image_shape)
     places = _at_windows(candidates, radius)
     probability = window_confidence(candidates, averaged_curve(candidates), *places)
@@ -89,7 +92,7 @@ def cautious_blur_map(
 
     Parameters
     ----------
-    candidates : BlurCandidates
+    candidates : BlurCandidates or LazyCandidates
         Of the mode "curve".
     blur_map : (H, W) array_like
         From `label_blur_map` with these candidates, in px.
@@ -117,6 +120,10 @@ def cautious_blur_map(
     >>> bool((cautious_blur_map(candidates, blur_map) <= blur_map).all())
     True
     """
+    check_risk(risk)
+    lazy = as_lazy(candidates)
+    if lazy is not None:
+        return lazy.judged(blur_map, risk)["cautious"]
     return confidence_and_caution(candidates, blur_map, risk=risk)[1]
 
 

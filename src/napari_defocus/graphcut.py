@@ -69,7 +69,12 @@ _FAR = _Sweep(reach=16, grow=6, step=4)
 
 
 def minimize_energy(
-    data: Float32, weights: Float32, progress: Progress = silent, *, coarse: bool = False
+    data: Float32,
+    weights: Float32,
+    progress: Progress = silent,
+    *,
+    coarse: bool = False,
+    finest: bool = True,
 ) -> Labels:
     """Find labels of low energy, from coarse to fine.
 
@@ -82,6 +87,9 @@ def minimize_energy(
     progress : callable, optional
     coarse : bool, optional
         Stop before the finest grid: two by two nodes have a label in common.
+    finest : bool, optional
+        Whether this grid is the finest one. If not, it is worth more work: see
+        `minimize_energy_from`.
 
     Returns
     -------
@@ -89,17 +97,55 @@ def minimize_energy(
     """
     levels = [(data, weights)]
     while levels[-1][1][0].size > _COARSEST:
-        levels.append(_coarser(*levels[-1]))
+        levels.append(coarser(*levels[-1]))
     labels = _coarse_start(*levels[-1])
     for depth, (level_data, level_weights) in enumerate(reversed(levels), 1):
         rows, columns = level_data.shape[:2]
         start = _finer(labels, rows, columns) if depth > 1 else labels
         # Each level has four times the nodes of the one before it.
-        finest = depth == len(levels)
-        if finest and coarse and depth > 1:
+        last = depth == len(levels)
+        if last and coarse and depth > 1:
             return start
         report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
-        labels = improve(start, level_data, level_weights, everywhere=not finest, progress=report)
+        everywhere = not (last and finest)
+        labels = improve(start, level_data, level_weights, everywhere=everywhere, progress=report)
+    progress(_STEP, 1.0)
+    return labels
+
+
+def minimize_energy_from(
+    start: Labels, data: Float32, weights: Float32, progress: Progress = silent
+) -> Labels:
+    """Find labels of low energy from those of a coarser grid.
+
+    If they come from `minimize_energy` of this grid's own costs, joined by `coarser`, the result
+    is that of `minimize_energy` of this grid.
+
+    Parameters
+    ----------
+    start : (r, c) int32 ndarray
+        r is R / 2, R / 4 or so, rounded up.
+    data, weights
+        As for `minimize_energy`.
+    progress : callable, optional
+
+    Returns
+    -------
+    (R, C) int32 ndarray
+    """
+    levels = [(data, weights)]
+    while -(-levels[-1][0].shape[0] // 2) > start.shape[0]:
+        levels.append(coarser(*levels[-1]))
+    labels = start
+    for depth in reversed(range(len(levels))):
+        level_data, level_weights = levels[depth]
+        labels = improve(
+            _finer(labels, *level_data.shape[:2]),
+            level_data,
+            level_weights,
+            everywhere=depth > 0,
+            progress=within(progress, 0.25 ** (depth + 1), 0.25**depth),
+        )
     progress(_STEP, 1.0)
     return labels
 
@@ -251,11 +297,25 @@ def _change(labels: Labels, proposal: Labels, place: Places, data: Float32) -> F
     return change
 
 
-def _coarser(data: Float32, weights: Float32) -> tuple[Float32, Float32]:
-    """Join nodes two by two: costs add up, and so do the weights across the seams."""
+def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[Float32, Float32]:
+    """Join nodes two by two: costs add up, and so do the weights across the seams.
+
+    Parameters
+    ----------
+    data, weights : ndarray
+        As for `minimize_energy`.
+    agreed : bool, optional
+        Joined nodes pay for the label that they have in common; else each may leave it at the
+        price of its own edges.
+
+    Returns
+    -------
+    data, weights : ndarray
+        The same for half as many rows and columns, rounded up.
+    """
     rows, columns = (-(-length // 2) for length in data.shape[:2])
     padded = np.zeros((2 * rows, 2 * columns, data.shape[2]), np.float32)
-    padded[: data.shape[0], : data.shape[1]] = _relaxed(data, weights)
+    padded[: data.shape[0], : data.shape[1]] = data if agreed else _relaxed(data, weights)
     joined = padded.reshape(rows, 2, columns, 2, -1).sum(axis=(1, 3))
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)

@@ -13,17 +13,23 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.axes import arranged_image
 from napari_defocus.boundaries import energy_of_pixels, interpolate_labels, label_pixels
-from napari_defocus.candidates import BlurCandidates, estimate_candidates
-from napari_defocus.confidence import checked_map, confidence_and_caution
+from napari_defocus.candidates import BlurCandidates, as_lazy, estimate_candidates
+from napari_defocus.confidence import checked_map, confidence_and_caution, confidence_map
 from napari_defocus.evidence import CARRIED_IN, evidence_share
-from napari_defocus.graphcut import expand_until_settled, minimize_energy
+from napari_defocus.graphcut import (
+    coarser,
+    expand_until_settled,
+    minimize_energy,
+    minimize_energy_from,
+)
 from napari_defocus.noise import ShotNoise
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.refinement import refine_labels
-from napari_defocus.scene import Scene
-from napari_defocus.settings import Linearize, MapSettings, Mode, check_weights
+from napari_defocus.scene import CoarseLabels, Scene
+from napari_defocus.settings import BLOCK_SIZE, Linearize, MapSettings, Mode, check_weights
 from napari_defocus.spectrum import LABEL_STEP
 
 Float32 = NDArray[np.float32]
@@ -38,6 +44,8 @@ CURVE_WEIGHT = np.float32(24)
 """Of the curves' depth as data term, against the penalty (15)."""
 
 _LEAST_SMOOTHNESS = 1e-12
+_HOLD = 12.0
+"""Of the smoothness, for each label that the rim of a part differs from the whole picture's."""
 
 
 @overload
@@ -85,7 +93,7 @@ def label_blur_map(
 
     Parameters
     ----------
-    candidates : BlurCandidates
+    candidates : BlurCandidates or LazyCandidates
         From `estimate_candidates` on the same picture. Their mode decides: "paper" takes the
         artificial likelihood of three candidates, labelled by expansion moves; "curve" the
         whole likelihood curve, which follows steep blur better, of each window's own side of
@@ -107,7 +115,8 @@ def label_blur_map(
     Returns
     -------
     blur_map : (H, W) float32 ndarray
-        Blur scale in px: the radius, for `Disc`.
+        Blur scale in px: the radius, for `Disc`. Of a stack (..., H, W), and a dask array if
+        one came in.
     carried_in : (H, W) bool ndarray
         True where there is no evidence; only with `return_carried_in`.
 
@@ -135,13 +144,21 @@ def label_blur_map(
     3.0
     """
     check_weights(smoothness, color_sigma)
+    lazy = as_lazy(candidates)
+    if lazy is not None:
+        weights = smoothness, color_sigma
+        found = lazy.results(image, progress, map_weights=weights, carried_in=return_carried_in)
+        return tuple(found.values()) if return_carried_in else found["blur_map"]
     scene = Scene.of(candidates, image, intensity_range)
     blur_map = blur_map_of_scene(
         scene, smoothness=smoothness, color_sigma=color_sigma, progress=progress
     )
-    if not return_carried_in:
-        return blur_map
-    return blur_map, scene.blocks.spread(evidence_share(scene.own) < CARRIED_IN)
+    return (blur_map, carried_in(scene)) if return_carried_in else blur_map
+
+
+def carried_in(scene: Scene) -> NDArray[np.bool_]:
+    """Return where the map of a scene has no evidence of its own: (H, W)."""
+    return scene.blocks.spread(evidence_share(scene.own) < CARRIED_IN)
 
 
 def blur_map_of_scene(
@@ -149,17 +166,25 @@ def blur_map_of_scene(
     *,
     smoothness: float = MapSettings.smoothness,
     color_sigma: float = MapSettings.color_sigma,
+    around: CoarseLabels | None = None,
     progress: Progress = silent,
 ) -> Float32:
-    """Do the work of `label_blur_map`, which see, on a scene."""
+    """Do the work of `label_blur_map`, which see, on a scene.
+
+    If it is a part of a picture, `around` says what the whole picture's blocks want.
+    """
     candidates, blocks, color = scene.own, scene.blocks, scene.picture.color
     step = "Making the map coherent"
     progress(step, 0.0)
-    cost = scene.cost(CURVE_WEIGHT)
-    block_cost = cost * blocks.area[..., None]
-    weights = blocks.edge_weights(color, color_sigma, smoothness)
-    minimize = expand_until_settled if candidates.mode == "paper" else minimize_energy
-    labels = minimize(block_cost, weights, within(progress, 0.0, 0.7, step))
+    cost, block_cost, weights = _problem_of_blocks(scene, smoothness, color_sigma)
+    choosing = within(progress, 0.0, 0.7, step)
+    if around is not None:
+        around.hold(block_cost, _HOLD * smoothness)
+        labels = minimize_energy_from(around.labels, block_cost, weights, choosing)
+    elif candidates.mode == "paper":
+        labels = expand_until_settled(block_cost, weights, choosing)
+    else:
+        labels = minimize_energy(block_cost, weights, choosing)
     progress("Following the picture's edges", 0.7)
     pixels = label_pixels(
         labels,
@@ -176,11 +201,37 @@ def blur_map_of_scene(
     if candidates.mode == "curve":
         pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
         likeness = weights / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
+        own = None if around is None else around.own
         scales = refine_labels(
-            candidates, labels, likeness, JUMP, smoothness, within(progress, 0.9, 1.0)
+            candidates, labels, likeness, JUMP, smoothness, own, within(progress, 0.9, 1.0)
         )
     progress("Smoothing out the steps", 1.0)
     return interpolate_labels(scales, labels, pixels, blocks, JUMP)
+
+
+def _problem_of_blocks(
+    scene: Scene, smoothness: float, color_sigma: float
+) -> tuple[Float32, Float32, Float32]:
+    """Return D of (14) for a pixel at each window and for its block, and the blocks' weights."""
+    cost = scene.cost(CURVE_WEIGHT)
+    weights = scene.blocks.edge_weights(scene.picture.color, color_sigma, smoothness)
+    return cost, cost * scene.blocks.area[..., None], weights
+
+
+def coarse_problem(
+    scene: Scene, levels: int, *, smoothness: float, color_sigma: float
+) -> tuple[Float32, Float32]:
+    """Return what is minimised, on a grid that is coarser by so many powers of two.
+
+    Returns
+    -------
+    data, weights : ndarray
+        As `minimize_energy` takes them.
+    """
+    _, data, weights = _problem_of_blocks(scene, smoothness, color_sigma)
+    for _ in range(levels):
+        data, weights = coarser(data, weights)
+    return data, weights
 
 
 def preview_of_blur_map(
@@ -197,8 +248,7 @@ def preview_of_blur_map(
     check_weights(smoothness, color_sigma)
     progress("Preview", 0.0)
     blocks = scene.blocks
-    weights = blocks.edge_weights(scene.picture.color, color_sigma, smoothness)
-    cost = scene.cost(CURVE_WEIGHT) * blocks.area[..., None]
+    _, cost, weights = _problem_of_blocks(scene, smoothness, color_sigma)
     labels = minimize_energy(cost, weights, within(progress, 0.0, 1.0, "Preview"), coarse=True)
     scales = np.float32(LABEL_STEP) * labels
     return interpolate_labels(scales, labels, blocks.spread(labels), blocks, JUMP)
@@ -210,6 +260,48 @@ def confidence_of_scene(
     """Return `confidence_map` and `cautious_blur_map` of a scene's map."""
     progress("Measuring the confidence", 0.0)
     return confidence_and_caution(scene.candidates, blur_map)
+
+
+@overload
+def estimate_blur_map(
+    image: ArrayLike,
+    *,
+    psf: PSFFamily = ...,
+    noise_variance: float | ShotNoise | None = ...,
+    window: int = ...,
+    stride: int = ...,
+    linearize: Linearize | None = ...,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    mode: Mode = ...,
+    intensity_range: tuple[float, float] | None = ...,
+    return_confidence: Literal[False] = ...,
+    axes: str | None = ...,
+    channel_axis: int | None = ...,
+    block_size: int = ...,
+    progress: Progress = ...,
+) -> Float32: ...
+
+
+@overload
+def estimate_blur_map(
+    image: ArrayLike,
+    *,
+    psf: PSFFamily = ...,
+    noise_variance: float | ShotNoise | None = ...,
+    window: int = ...,
+    stride: int = ...,
+    linearize: Linearize | None = ...,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    mode: Mode = ...,
+    intensity_range: tuple[float, float] | None = ...,
+    return_confidence: Literal[True],
+    axes: str | None = ...,
+    channel_axis: int | None = ...,
+    block_size: int = ...,
+    progress: Progress = ...,
+) -> tuple[Float32, Float32]: ...
 
 
 def estimate_blur_map(
@@ -224,28 +316,44 @@ def estimate_blur_map(
     color_sigma: float = MapSettings.color_sigma,
     mode: Mode = MapSettings.mode,
     intensity_range: tuple[float, float] | None = None,
+    return_confidence: bool = False,
+    axes: str | None = None,
+    channel_axis: int | None = None,
+    block_size: int = BLOCK_SIZE,
     progress: Progress = silent,
-) -> Float32:
-    """Measure the defocus blur at every pixel of one picture: candidates, then labels.
+) -> Float32 | tuple[Float32, Float32]:
+    """Measure the defocus blur at every pixel: candidates, then labels.
+
+    Of a dask array, results are dask arrays, which are computed part by part when they are asked
+    for, by any of dask's schedulers; of a stack, plane by plane. Memory is bounded by
+    `block_size`, not by the picture. A plane of one part has exactly the map that it has as an
+    array; of larger ones, candidates are exactly the same and maps differ by 0.02 px or less.
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
         Any real dtype; integers are scaled by their dtype's range, floats are taken as
-        [0, 1]. A fourth channel is opacity.
+        [0, 1]. A fourth channel is opacity. A stack if `axes` or `channel_axis` says so.
     psf, noise_variance, window, stride, linearize, mode
         See `estimate_candidates`.
     smoothness, color_sigma
         See `label_blur_map`.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
+    return_confidence : bool, optional
+        Return also the probability that each radius is right to 0.5 px, see `confidence_map`.
+    axes, channel_axis, block_size
+        See `estimate_candidates`.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
     Returns
     -------
-    (H, W) float32 ndarray
-        Blur scale in px: the radius, for `Disc`.
+    blur_map : (H, W) float32 ndarray
+        Blur scale in px: the radius, for `Disc`. Of a stack (..., H, W), its planes' axes first,
+        and a dask array if one came in.
+    confidence : (H, W) float32 ndarray
+        In [0, 1]; only with `return_confidence`.
 
     Raises
     ------
@@ -271,16 +379,25 @@ def estimate_blur_map(
         mode=mode,
         linearize=linearize,
         intensity_range=intensity_range,
+        axes=axes,
+        channel_axis=channel_axis,
+        block_size=block_size,
         progress=within(progress, 0.0, 0.4),
     )
-    return label_blur_map(
+    lazy = as_lazy(candidates)
+    if lazy is not None:
+        weights = smoothness, color_sigma
+        found = lazy.results(image, progress, map_weights=weights, confidence=return_confidence)
+        return tuple(found.values()) if return_confidence else found["blur_map"]
+    blur_map = label_blur_map(
         candidates,
-        image,
+        arranged_image(image, axes, channel_axis)[0],
         smoothness=smoothness,
         color_sigma=color_sigma,
         intensity_range=intensity_range,
         progress=within(progress, 0.4, 1.0),
     )
+    return (blur_map, confidence_map(candidates, blur_map)) if return_confidence else blur_map
 
 
 def labeling_energy(

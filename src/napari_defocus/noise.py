@@ -178,8 +178,55 @@ def estimate_shot_noise(
 
 def noise_variance_of(picture: PreparedImage) -> float:
     """Find the noise variance of a prepared picture, see `estimate_noise_variance`."""
-    finest = _floor(_local_details(picture, _FINEST)[0])
-    return finest + _compression_variance(picture, finest)
+    return noise_variance_of_samples([NoiseSample.of(picture)])
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSample:
+    """What a picture, or a piece of one, shows of its noise.
+
+    Attributes
+    ----------
+    finest, fine : (N,) and (M,) ndarray
+        Local variances of its finest details, and of those twice as large, the latter only if
+        it was a JPEG.
+    jpeg_step : float or None
+        To which JPEG has rounded slow changes, in levels of 8 bits; None without it.
+    luminance : float
+        Its mean, darker than black counting as black.
+    """
+
+    finest: Float64
+    fine: Float64
+    jpeg_step: float | None
+    luminance: float
+
+    @classmethod
+    def of(cls, picture: PreparedImage, every: int = 1) -> NoiseSample:
+        """Look at a prepared picture; of the variances, keep those of every so many pixels."""
+        step = _jpeg_step(picture.luminance)
+        finest = _local_details(picture, _FINEST)[0][::every]
+        fine = np.empty(0) if step is None else _local_details(picture, _FINE)[0][::every]
+        bright = float(np.maximum(picture.luminance, 0).mean())
+        return cls(finest, fine, step, bright)
+
+
+def noise_variance_of_samples(samples: list[NoiseSample]) -> float:
+    """Find the noise variance of a picture from pieces that are spread over it.
+
+    It is a JPEG if half of the pieces look like it.
+    """
+    finest = _floor(np.concatenate([sample.finest for sample in samples]))
+    steps = [sample.jpeg_step for sample in samples if sample.jpeg_step is not None]
+    if 2 * len(steps) < len(samples):
+        return finest
+    fine = _floor(np.concatenate([sample.fine for sample in samples]))
+    return finest + _compression_variance(finest, fine, float(np.median(steps)))
+
+
+def mean_shot_noise(picture: PreparedImage, noise: ShotNoise) -> float:
+    """Return the mean variance over a picture of noise that grows with the intensity."""
+    return float(noise.variance_at(picture.luminance).mean())
 
 
 def _floor(details: NDArray[np.floating]) -> float:
@@ -204,18 +251,19 @@ def _local_details(picture: PreparedImage, taps: Float64) -> tuple[Float64, Floa
     return energy[kept] / alive[kept], mean[kept]
 
 
-def _compression_variance(picture: PreparedImage, finest: float) -> float:
-    """Return how much noise is not in the finest details because of JPEG; 0 without it.
+def _compression_variance(finest: float, fine: float, step: float) -> float:
+    """Return how much of JPEG's noise is not in the finest details.
 
-    `finest` is the variance that is in them.
+    `finest` and `fine` are the variances in the finest details, and in those twice as large.
     """
-    luminance = picture.luminance
+    return max(0.0, fine - finest) + _PROCESSING_VARIANCE + step**2 / 12 / _LEVELS**2 / 2
+
+
+def _jpeg_step(luminance: Float32) -> float | None:
+    """Return `_quantization_step` of what was a JPEG, None of what was not."""
     origin = _origin_of_blocks(luminance)
     step = _quantization_step(luminance, origin or (0, 0))
-    if origin is None and step <= 1:
-        return 0.0
-    fine = _floor(_local_details(picture, _FINE)[0])
-    return max(0.0, fine - finest) + _PROCESSING_VARIANCE + step**2 / 12 / _LEVELS**2 / 2
+    return None if origin is None and step <= 1 else step
 
 
 def _origin_of_blocks(luminance: Float32) -> tuple[int, int] | None:
@@ -295,7 +343,10 @@ def shot_noise_of(picture: PreparedImage) -> ShotNoise:
     """Find the growth of the noise of a prepared picture, see `estimate_shot_noise`."""
     everywhere = _local_details(picture, _FINEST)
     finest = _floor(everywhere[0])
-    compression = _compression_variance(picture, finest)
+    step, compression = _jpeg_step(picture.luminance), 0.0
+    if step is not None:
+        fine = _floor(_local_details(picture, _FINE)[0])
+        compression = _compression_variance(finest, fine, step)
     variance = finest + compression
     if variance == 0:
         raise ValueError("image has no noise; its growth with the intensity cannot be found")

@@ -42,8 +42,9 @@ _ROUNDS = 3
 _STEPS_A_ROUND = 3
 _SAY_OF_DISPLACED = 0.1
 _TILE = 256
-_OVERLAP = 80
-"""px; what is farther away has no influence."""
+_OVERLAP, _MARGIN = 128, 32
+"""px that tiles see around themselves; what is farther away has hardly any influence. And px on
+both sides of a border over which one tile goes over into the next."""
 
 
 def refine_labels(
@@ -52,6 +53,7 @@ def refine_labels(
     weights: Float32,
     jump: int,
     smoothness: float,
+    own: Slices | None = None,
     progress: Progress = silent,
 ) -> Float32:
     """Find the continuous scale at every window.
@@ -66,6 +68,9 @@ def refine_labels(
         The smallest difference of labels that counts as a discontinuity.
     smoothness : float
         lambda_0 of (16); both lambdas above grow with it.
+    own : (slice, slice), optional
+        If they are a part of a picture: which rows and columns of windows matter. Those around
+        go along as far as they are seen.
     progress : callable, optional
 
     Returns
@@ -82,6 +87,7 @@ def refine_labels(
         stride=candidates.stride,
         strength=smoothness / MapSettings.smoothness,
         say=np.where(elsewhere, _SAY_OF_DISPLACED, 1.0),
+        own=own,
         progress=progress,
     )
 
@@ -95,6 +101,7 @@ def refine_curves(
     stride: int,
     strength: float = 1.0,
     say: Float64 | None = None,
+    own: Slices | None = None,
     progress: Progress = silent,
 ) -> Float32:
     """Find what lies between labels on a grid of any curves of log-likelihood.
@@ -111,6 +118,8 @@ def refine_curves(
         Of both lambdas above, against the default.
     say : (R, C) float64 ndarray, optional
         How much each place counts, 1 by default.
+    own
+        As in `refine_labels`.
     progress : callable, optional
 
     Returns
@@ -121,32 +130,53 @@ def refine_curves(
     spacing = stride / _REFERENCE_STRIDE
     independent = spacing**2 * (np.ones(labels.shape) if say is None else say)
     scales = LABEL_STEP * np.arange(curve.shape[2])
-    scale = LABEL_STEP * labels.astype(np.float64)
-    overlap = -(-_OVERLAP // stride)
-    tiles = list(_tiles(labels.shape, overlap))
-    for done, (inner, around, inner_of_around) in enumerate(tiles):
+    scale, total = np.zeros(labels.shape), np.zeros(labels.shape)
+    overlap, margin = -(-_OVERLAP // stride), -(-_MARGIN // stride)
+    tiles = list(_tiles(labels.shape, own, overlap, margin))
+    for done, (around, share) in enumerate(tiles):
         progress("Smoothing out the steps", done / len(tiles))
         form = strength * _smoothness_form(labels[around], weights[:, *around], jump, spacing)
         start = LABEL_STEP * labels[around].astype(np.float64)
         near = curve[around].reshape(start.size, -1)
         solved = _solve(start.ravel(), near, scales, form, independent[around].ravel())
-        scale[inner] = solved.reshape(start.shape)[inner_of_around]
+        scale[around] += share * solved.reshape(start.shape)
+        total[around] += share
     progress("Smoothing out the steps", 1.0)
-    return np.clip(scale, 0, scales[-1]).astype(np.float32)
+    return np.clip(scale / total, 0, scales[-1]).astype(np.float32)
 
 
-def _tiles(shape: tuple[int, int], overlap: int) -> Iterator[tuple[Slices, Slices, Slices]]:
-    """Cut a grid into tiles; return each, with what is around it, and its place therein."""
-    for top in range(0, shape[0], _TILE):
-        for left in range(0, shape[1], _TILE):
-            start = np.array([top, left])
-            stop = np.minimum(start + _TILE, shape)
-            low, high = np.maximum(start - overlap, 0), np.minimum(stop + overlap, shape)
-            yield _slices(start, stop), _slices(low, high), _slices(start - low, stop - low)
+def _tiles(
+    shape: tuple[int, ...], own: Slices | None, overlap: int, margin: int
+) -> Iterator[tuple[Slices, Float64]]:
+    """Cut a grid into tiles; return what each sees, and how much it counts there.
+
+    What is seen beyond `own` belongs to the tiles beside it.
+    """
+    kept = own or (slice(0, shape[0]), slice(0, shape[1]))
+    axes = [
+        [
+            _tile(start, part, length, overlap, margin)
+            for start in range(part.start, part.stop, _TILE)
+        ]
+        for part, length in zip(kept, shape, strict=True)
+    ]
+    for rows, row_share in axes[0]:
+        for columns, column_share in axes[1]:
+            yield (rows, columns), np.outer(row_share, column_share)
 
 
-def _slices(start: NDArray[np.int64], stop: NDArray[np.int64]) -> Slices:
-    return slice(start[0], stop[0]), slice(start[1], stop[1])
+def _tile(start: int, own: slice, length: int, overlap: int, margin: int) -> tuple[slice, Float64]:
+    """Return what a tile sees of an axis, and how much it counts there."""
+    stop = min(start + _TILE, own.stop)
+    first = 0 if start == own.start else max(start - overlap, 0)
+    last = length if stop == own.stop else min(stop + overlap, length)
+    share = np.ones(last - first)
+    at = np.arange(first, last) + 0.5
+    if start > own.start:
+        share = np.minimum(share, np.clip((at - start + margin) / (2 * margin), 0, 1))
+    if stop < own.stop:
+        share = np.minimum(share, np.clip((stop + margin - at) / (2 * margin), 0, 1))
+    return slice(first, last), share
 
 
 def _solve(

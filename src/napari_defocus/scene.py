@@ -122,6 +122,41 @@ def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
     return likelihood / likelihood.sum(axis=2, keepdims=True)
 
 
+@dataclass(frozen=True, eq=False)
+class CoarseLabels:
+    """Labels of a whole picture's coarser grid, where a part of it lies.
+
+    Attributes
+    ----------
+    labels : (r, c) int32 ndarray
+        r is R / 2, R / 4 or so, rounded up, for the R x C blocks of the part.
+    own : (slice, slice)
+        Which of the part's rows and columns of blocks matter.
+    inner_sides : tuple of bool
+        Whether the picture goes on beyond the part's top, left, bottom and right.
+    """
+
+    labels: NDArray[np.int32]
+    own: tuple[slice, slice]
+    inner_sides: tuple[bool, bool, bool, bool]
+
+    def hold(self, data: Float32, price: float) -> None:
+        """Add a price for each label that the rim of the part differs, to costs (R, C, L)."""
+        rows, columns, count = data.shape
+        factor = 1
+        while -(-rows // factor) > self.labels.shape[0]:
+            factor *= 2
+        fine = self.labels.repeat(factor, 0).repeat(factor, 1)[:rows, :columns]
+        top, left, bottom, right = self.inner_sides
+        held = np.zeros((rows, columns), bool)
+        held[0] |= top
+        held[-1] |= bottom
+        held[:, 0] |= left
+        held[:, -1] |= right
+        away = np.abs(np.arange(count) - fine[held][:, None])
+        data[held] += (price * away).astype(np.float32)
+
+
 class UnknownSceneError(LookupError):
     """No scene of that name is known here."""
 

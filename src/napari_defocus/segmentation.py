@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks, label_pixels
-from napari_defocus.candidates import BlurCandidates
-from napari_defocus.graphcut import solve_exactly
+from napari_defocus.candidates import BlurCandidates, as_lazy
+from napari_defocus.graphcut import coarser, solve_exactly
 from napari_defocus.progress import Progress, silent, within
-from napari_defocus.scene import Scene
+from napari_defocus.scene import CoarseLabels, Scene
 from napari_defocus.seeds import checked_seeds
 from napari_defocus.settings import (
     MaskSettings,
@@ -49,7 +49,7 @@ def segment_in_focus(
 
     Parameters
     ----------
-    candidates : BlurCandidates
+    candidates : BlurCandidates or LazyCandidates
         From `estimate_candidates` on the same picture. Other settings here need no new ones.
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its colours.
@@ -69,7 +69,7 @@ def segment_in_focus(
     Returns
     -------
     (H, W) uint8 ndarray
-        1 in focus, 0 blurred.
+        1 in focus, 0 blurred. Of a stack (..., H, W), and a dask array if one came in.
 
     Raises
     ------
@@ -91,7 +91,11 @@ def segment_in_focus(
     0
     """
     check_weights(smoothness, color_sigma)
+    lazy = as_lazy(candidates)
     check_threshold(threshold, float(candidates.scales[-1]))
+    if lazy is not None:
+        mask = MaskSettings(threshold=threshold, smoothness=smoothness, color_sigma=color_sigma)
+        return lazy.results(image, progress, seeds=seeds, mask=mask)["mask"]
     if seeds is not None:
         checked_seeds(seeds, candidates.image_shape)
     return mask_of_scene(
@@ -112,23 +116,22 @@ def mask_of_scene(
     color_sigma: float = MaskSettings.color_sigma,
     seeds: ArrayLike | None = None,
     preview: bool = False,
+    around: CoarseLabels | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.uint8]:
     """Do the work of `segment_in_focus`, which see, on a scene.
 
-    A preview keeps to the blocks of the windows, and takes a fraction of the time.
+    A preview keeps to the blocks of the windows, and takes a fraction of the time. If the scene
+    is a part of a picture, `around` says what the whole picture's blocks want.
     """
     check_weights(smoothness, color_sigma)
     check_threshold(threshold, float(scene.own.scales[-1]))
     blocks, color = scene.blocks, scene.picture.color
     fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, scene.picture.shape))
     progress(_STEP, 0.0)
-    cost = focus_cost(scene, threshold)
-    share = 1.0 if scene.own.mode == "paper" else _BLOCK_SHARE
-    weights = blocks.edge_weights(color, color_sigma, share * smoothness)
-    block_cost = cost * blocks.area[..., None]
-    if fixed is not None:
-        block_cost += _seed_cost(fixed, blocks)
+    cost, block_cost, weights = _problem_of_blocks(scene, threshold, smoothness, color_sigma, fixed)
+    if around is not None:
+        around.hold(block_cost, float(_NEVER))
     labels = solve_exactly(block_cost, weights)
     progress(_STEP, 0.5)
     if preview:
@@ -148,6 +151,46 @@ def mask_of_scene(
     )
     progress(_STEP, 1.0)
     return mask.astype(np.uint8)
+
+
+def _problem_of_blocks(
+    scene: Scene,
+    threshold: float,
+    smoothness: float,
+    color_sigma: float,
+    fixed: NDArray[np.int32] | None,
+) -> tuple[Float32, Float32, Float32]:
+    """Return D of (18) for a pixel at each window and for its block, and the blocks' weights."""
+    cost = focus_cost(scene, threshold)
+    share = 1.0 if scene.own.mode == "paper" else _BLOCK_SHARE
+    weights = scene.blocks.edge_weights(scene.picture.color, color_sigma, share * smoothness)
+    block_cost = cost * scene.blocks.area[..., None]
+    if fixed is not None:
+        block_cost += _seed_cost(fixed, scene.blocks)
+    return cost, block_cost, weights
+
+
+def coarse_mask_problem(
+    scene: Scene,
+    levels: int,
+    *,
+    threshold: float,
+    smoothness: float,
+    color_sigma: float,
+    seeds: ArrayLike | None = None,
+) -> tuple[Float32, Float32]:
+    """Return what is minimised, on a grid that is coarser by so many powers of two.
+
+    Returns
+    -------
+    data, weights : ndarray
+        As `solve_exactly` takes them.
+    """
+    fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, scene.picture.shape))
+    _, data, weights = _problem_of_blocks(scene, threshold, smoothness, color_sigma, fixed)
+    for _ in range(levels):
+        data, weights = coarser(data, weights, agreed=True)
+    return data, weights
 
 
 def _fixed_labels(seeds: NDArray[np.integer]) -> NDArray[np.int32]:

@@ -26,6 +26,11 @@ COMPARED_PSFS = (
 )
 """The lenses that are compared unless others are named; each as `psf_from_text` reads it."""
 
+BLOCK_SIZE = 1024
+"""Side, in px, of the parts in which large pictures are worked on: memory is bounded by it."""
+
+LEAST_BLOCK_SIZE = 256
+
 CONFIDENT = 0.5
 """The confidence from which on a pixel counts as sure, where shares of a picture are told."""
 
@@ -252,6 +257,14 @@ def check_noise_variance(noise_variance: float | None) -> None:
     if noise_variance is not None and not (math.isfinite(noise_variance) and noise_variance >= 0):
         raise ValueError(
             f"noise_variance is {noise_variance}; it takes a finite number from 0 up, or None"
+        )
+
+
+def check_block_size(block_size: Any) -> None:
+    """Check the side of the parts in which large pictures are worked on, in px."""
+    if not isinstance(block_size, Integral) or int(block_size) < LEAST_BLOCK_SIZE:
+        raise ValueError(
+            f"block_size is {block_size}; it takes a whole number of px from {LEAST_BLOCK_SIZE} up"
         )
 
 

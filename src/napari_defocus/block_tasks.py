@@ -1,0 +1,300 @@
+"""What is done to one part of a picture: the tasks of which `blocks` makes a graph."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.candidates import BlurCandidates, Search, candidates_of
+from napari_defocus.confidence import confidence_and_caution, confidence_map
+from napari_defocus.graphcut import minimize_energy, solve_exactly
+from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.labeling import blur_map_of_scene, carried_in, coarse_problem
+from napari_defocus.noise import (
+    NoiseSample,
+    ShotNoise,
+    mean_shot_noise,
+    noise_variance_of,
+    noise_variance_of_samples,
+)
+from napari_defocus.parts import Part
+from napari_defocus.psf import PSFFamily
+from napari_defocus.scene import CoarseLabels, Scene
+from napari_defocus.segmentation import coarse_mask_problem, mask_of_scene
+from napari_defocus.settings import Linearize, MaskSettings, Mode, Spectra
+
+Float32 = NDArray[np.float32]
+Problem = tuple[Float32, Float32]
+Found = dict[str, NDArray[Any]]
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+_kernels = threading.Lock()
+
+
+@contextmanager
+def _kernels_in_turn() -> Iterator[None]:
+    """Let one thread at a time work if numba's threads cannot be shared by several."""
+    try:
+        shared = numba.threading_layer() != "workqueue"
+    except ValueError:  # no kernel has run yet
+        shared = False
+    if shared:
+        yield
+    else:
+        with _kernels:
+            yield
+
+
+def task(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Make a function safe in threads of one process."""
+
+    @wraps(function)
+    def run(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
+        with _kernels_in_turn():
+            return function(*arguments, **keywords)
+
+    return run
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """How candidates are estimated: what `estimate_candidates` takes, but for the noise."""
+
+    psf: PSFFamily
+    window: int
+    stride: int
+    mode: Mode
+    spectra: Spectra
+    search: Search | None
+    linearize: Linearize | None
+    intensity_range: tuple[float, float] | None
+
+    def prepared(self, pixels: NDArray[Any]) -> PreparedImage:
+        """Return the picture as spectra see it."""
+        return prepare_image(pixels, self.intensity_range, self.linearize)
+
+    def candidates(self, pixels: NDArray[Any], noise: Noise) -> BlurCandidates:
+        """Estimate those of a part, or of a plane."""
+        picture = self.prepared(pixels)
+        variance, shot_noise = noise.of(picture)
+        return candidates_of(
+            picture,
+            psf=self.psf,
+            noise_variance=variance,
+            shot_noise=shot_noise,
+            window=self.window,
+            stride=self.stride,
+            mode=self.mode,
+            spectra=self.spectra,
+            search=self.search,
+        )
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The noise of a plane.
+
+    Attributes
+    ----------
+    given : float, ShotNoise or None
+        By the user.
+    variance : float or None
+        Its mean over the plane, if a part alone does not know it.
+    """
+
+    given: float | ShotNoise | None
+    variance: float | None = None
+
+    def of(self, picture: PreparedImage) -> tuple[float, ShotNoise | None]:
+        """Return the variance for the spectra, and how the noise grows."""
+        shot_noise = self.given if isinstance(self.given, ShotNoise) else None
+        if self.variance is not None:
+            return self.variance, shot_noise
+        if isinstance(self.given, ShotNoise):
+            return mean_shot_noise(picture, self.given), shot_noise
+        return (noise_variance_of(picture) if self.given is None else float(self.given)), None
+
+    @classmethod
+    def of_samples(cls, given: float | ShotNoise | None, samples: list[NoiseSample]) -> Noise:
+        """Find the mean variance of a plane from pieces of it."""
+        if isinstance(given, ShotNoise):
+            mean = float(np.mean([sample.luminance for sample in samples]))
+            return cls(given, float(given.variance_at(np.array(mean))))
+        return cls(given, noise_variance_of_samples(samples))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What is asked for of a picture; all of it costs hardly more than the first.
+
+    Attributes
+    ----------
+    map_weights : (float, float) or None
+        Smoothness and sigma of the colours, for a map.
+    confidence : bool
+        Whether to give the confidence of the map.
+    risk : float or None
+        For the map that `cautious_blur_map` gives.
+    carried_in : bool
+        Whether to tell where the map has no evidence of its own.
+    mask : MaskSettings or None
+    """
+
+    map_weights: tuple[float, float] | None = None
+    confidence: bool = False
+    risk: float | None = None
+    carried_in: bool = False
+    mask: MaskSettings | None = None
+
+    @property
+    def dtypes(self) -> dict[str, type]:
+        """Names of the results, and what they hold."""
+        asked = {
+            "blur_map": (self.map_weights is not None, np.float32),
+            "confidence": (self.confidence, np.float32),
+            "cautious": (self.risk is not None, np.float32),
+            "carried_in": (self.carried_in, np.bool_),
+            "mask": (self.mask is not None, np.uint8),
+        }
+        return {name: dtype for name, (is_asked, dtype) in asked.items() if is_asked}
+
+    def problems(self, scene: Scene, levels: int, seeds: NDArray[Any] | None) -> dict[str, Problem]:
+        """Return what the cells of a part cost: for the map, and for the mask."""
+        found: dict[str, Problem] = {}
+        if self.map_weights is not None:
+            smoothness, color_sigma = self.map_weights
+            found["blur_map"] = coarse_problem(
+                scene, levels, smoothness=smoothness, color_sigma=color_sigma
+            )
+        if self.mask is not None:
+            found["mask"] = coarse_mask_problem(scene, levels, **vars(self.mask), seeds=seeds)
+        return found
+
+    def measure(
+        self, scene: Scene, around: dict[str, CoarseLabels], seeds: NDArray[Any] | None
+    ) -> Found:
+        """Return all that is asked for of a part, everywhere that it sees."""
+        found: Found = {}
+        if self.map_weights is not None:
+            smoothness, color_sigma = self.map_weights
+            blur_map = blur_map_of_scene(
+                scene,
+                smoothness=smoothness,
+                color_sigma=color_sigma,
+                around=around.get("blur_map"),
+            )
+            found["blur_map"] = blur_map
+            if self.risk is not None:
+                sure, safe = confidence_and_caution(scene.candidates, blur_map, risk=self.risk)
+                found.update(confidence=sure, cautious=safe)
+            elif self.confidence:
+                found["confidence"] = confidence_map(scene.candidates, blur_map)
+            if self.carried_in:
+                found["carried_in"] = carried_in(scene)
+        if self.mask is not None:
+            found["mask"] = mask_of_scene(
+                scene, **vars(self.mask), seeds=seeds, around=around.get("mask")
+            )
+        return found
+
+
+@task
+def look_at_noise(pixels: NDArray[Any], how: Estimation, every: int) -> NoiseSample:
+    """Return what a piece of a plane shows of the noise."""
+    return NoiseSample.of(how.prepared(pixels), every)
+
+
+@task
+def survey_part(
+    pixels: NDArray[Any],
+    seeds: NDArray[Any] | None,
+    part: Part,
+    levels: int,
+    noise: Noise,
+    how: Estimation,
+    wanted: Wanted,
+) -> dict[str, Problem]:
+    """Return what the cells of a part cost, its own ones."""
+    scene = Scene.of(how.candidates(pixels, noise), pixels, how.intensity_range)
+    own = part.own_cells(levels)
+    return {
+        name: (data[own].copy(), weights[:, *own].copy())
+        for name, (data, weights) in wanted.problems(scene, levels, seeds).items()
+    }
+
+
+@task
+def label_cells(surveys: list[list[dict[str, Problem]]]) -> dict[str, NDArray[np.int32]]:
+    """Label the cells of a whole plane, for the map and for the mask."""
+    labels = {}
+    for name in surveys[0][0]:
+        data = np.concatenate(
+            [np.concatenate([one[name][0] for one in row], axis=1) for row in surveys], axis=0
+        )
+        weights = np.concatenate(
+            [np.concatenate([one[name][1] for one in row], axis=2) for row in surveys], axis=1
+        )
+        solved = solve_exactly if name == "mask" else _minimized
+        labels[name] = solved(data, weights)
+    return labels
+
+
+def _minimized(data: Float32, weights: Float32) -> NDArray[np.int32]:
+    return minimize_energy(data, weights, finest=False)
+
+
+@task
+def measure_part(
+    pixels: NDArray[Any],
+    seeds: NDArray[Any] | None,
+    part: Part,
+    levels: int,
+    cells: dict[str, NDArray[np.int32]],
+    noise: Noise,
+    how: Estimation,
+    wanted: Wanted,
+) -> Found:
+    """Return what is asked for of a part: of its own pixels, and of those it goes over into."""
+    scene = Scene.of(how.candidates(pixels, noise), pixels, how.intensity_range)
+    at = part.cells(levels)
+    around = {
+        name: CoarseLabels(np.ascontiguousarray(labels[at]), part.own_cells(0), part.inner_sides)
+        for name, labels in cells.items()
+    }
+    found = wanted.measure(scene, around, seeds)
+    return {
+        name: found[name][part.own(extended=dtype is np.float32)].copy()
+        for name, dtype in wanted.dtypes.items()
+    }
+
+
+@task
+def judge_part(
+    pixels: NDArray[Any],
+    blur_map: NDArray[Any],
+    part: Part,
+    noise: Noise,
+    how: Estimation,
+    risk: float,
+) -> Found:
+    """Return the confidence of a given map in a part, and what of it is safe to take away."""
+    sure, safe = confidence_and_caution(how.candidates(pixels, noise), blur_map, risk=risk)
+    return {"confidence": sure[part.own()].copy(), "cautious": safe[part.own()].copy()}
+
+
+@task
+def windows_of_part(
+    pixels: NDArray[Any], part: Part, noise: Noise, how: Estimation, name: str
+) -> Float32:
+    """Return an attribute of the candidates of a part's own windows."""
+    values: Float32 = getattr(how.candidates(pixels, noise), name)
+    return values[part.own_cells(0)].copy()
