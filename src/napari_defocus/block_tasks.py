@@ -208,9 +208,11 @@ class Wanted:
 
 
 @task
-def look_at_noise(pixels: NDArray[Any], how: Estimation, every: int) -> NoiseSample:
+def look_at_noise(
+    pixels: NDArray[Any], prepared: Callable[[NDArray[Any]], PreparedImage], every: int
+) -> NoiseSample:
     """Return what a piece of a plane shows of the noise."""
-    return NoiseSample.of(how.prepared(pixels), every)
+    return NoiseSample.of(prepared(pixels), every)
 
 
 @task

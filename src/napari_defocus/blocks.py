@@ -10,19 +10,17 @@ over into each other. A task takes pixels and returns maps, so that memory is bo
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
 from typing import Any
 
 import dask
-import dask.array as da
 import numpy as np
 from dask import delayed
 from dask.callbacks import Callback
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
-from napari_defocus.axes import is_lazy, planes_first
 from napari_defocus.block_tasks import (
     Estimation,
     Noise,
@@ -35,10 +33,11 @@ from napari_defocus.block_tasks import (
     windows_of_part,
 )
 from napari_defocus.candidates import CANDIDATES, Search
-from napari_defocus.image import MIN_SIDE
+from napari_defocus.image import PreparedImage
+from napari_defocus.lazy_planes import Index, LazyPlanes, assembled, blended_parts
 from napari_defocus.noise import ShotNoise
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
-from napari_defocus.parts import Cutting, Part, blended, neighbors
+from napari_defocus.parts import Cutting, Part
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import PSFFamily
 from napari_defocus.settings import RestorationSettings
@@ -49,8 +48,6 @@ _THREADS = min(4, os.cpu_count() or 1)
 
 _STEP = "Measuring part by part"
 
-Index = tuple[int, ...]
-Grid = list[list[Any]]
 
 _WHOLE = 4_000_000
 """px of a plane up to which the noise is measured everywhere."""
@@ -69,13 +66,8 @@ class LazyCandidates:
 
     Attributes
     ----------
-    image : dask.array.Array
-        Planes first, then (H, W), or (H, W, 3 or 4) if `has_colors`.
-    given_shape : tuple of int
-        Of the image as it was given.
-    has_colors : bool
-    in_memory : bool
-        Whether results are computed at once.
+    planes : LazyPlanes
+        The image.
     estimation : Estimation
         How each plane's candidates are estimated.
     noise_variance : float, ShotNoise or None
@@ -84,45 +76,21 @@ class LazyCandidates:
         Side of the parts of a plane, in px.
     """
 
-    image: Any
-    given_shape: Index
-    has_colors: bool
-    in_memory: bool
+    planes: LazyPlanes
     estimation: Estimation
     noise_variance: float | ShotNoise | None
     block_size: int
     _noises: dict[Index, Any] = field(default_factory=dict, repr=False)
 
-    @classmethod
-    def of(
-        cls,
-        image: Any,
-        roles: str,
-        estimation: Estimation,
-        noise_variance: float | ShotNoise | None,
-        block_size: int,
-    ) -> LazyCandidates:
-        """Arrange a stack, or a dask array, whose axes are known."""
-        arranged, in_memory = planes_first(image, roles), not is_lazy(image)
-        has_colors = "s" in roles and arranged.ndim == len(roles)
-        if in_memory:
-            arranged = _as_dask(arranged, arranged.ndim - 2 - has_colors)
-        lazy = cls(
-            arranged, image.shape, has_colors, in_memory, estimation, noise_variance, block_size
-        )
-        _check(lazy, image)
-        return lazy
-
     @property
     def plane_shape(self) -> Index:
         """How many planes there are along each axis before the last two; () for one picture."""
-        return tuple(int(n) for n in self.image.shape[: self.image.ndim - 2 - self.has_colors])
+        return self.planes.counts
 
     @property
     def image_shape(self) -> tuple[int, int]:
         """Height and width of a plane, in px."""
-        height, width = self.image.shape[len(self.plane_shape) :][:2]
-        return int(height), int(width)
+        return self.planes.shape
 
     @property
     def psf(self) -> PSFFamily:
@@ -146,11 +114,9 @@ class LazyCandidates:
 
     def measure(self, wanted: Wanted, seeds: Any = None) -> dict[str, Any]:
         """Return all that is asked for, by name: a dask array (..., H, W) each."""
-        planes = [
-            self._measured(index, wanted, None if seeds is None else seeds[index])
-            for index in np.ndindex(self.plane_shape)
-        ]
-        return {name: self._stacked([plane[name] for plane in planes]) for name in planes[0]}
+        return self.planes.each(
+            lambda index: self._measured(index, wanted, None if seeds is None else seeds[index])
+        )
 
     def results(
         self, image: Any, progress: Progress, *, seeds: Any = None, **asked: Any
@@ -164,42 +130,30 @@ class LazyCandidates:
         ValueError
             If `image` is another one than that of the candidates, or `seeds` have another shape.
         """
-        if np.shape(image) != self.given_shape:
-            raise ValueError(
-                f"image has shape {np.shape(image)}; these candidates are of an image of shape "
-                f"{self.given_shape}"
-            )
-        known = None if seeds is None else self._planes_of("seeds", seeds)
-        return self._given_back(self.measure(Wanted(**asked), known), progress)
+        self.planes.check_same(image)
+        known = None if seeds is None else self.planes.belonging("seeds", seeds)
+        found = self.measure(Wanted(**asked), known)
+        return computed(found, progress) if self.planes.in_memory else found
 
     def judged(self, blur_map: Any, risk: float = RestorationSettings.risk) -> dict[str, Any]:
         """Return `confidence_map` and `cautious_blur_map` of any map, (..., H, W), by name."""
-        radii = self._planes_of("blur_map", blur_map)
-        ask, how = delayed(judge_part, pure=True), self._frugal
+        radii = self.planes.belonging("blur_map", blur_map)
+        judge, how = delayed(judge_part, pure=True), self._frugal
+        parts = self._cutting.parts()
 
         def of_plane(index: Index) -> dict[str, Any]:
-            plane, noise, radius = self.image[index], self._noise(index), radii[index]
-            parts = self._cutting.parts()
+            plane, noise, radius = self.planes.image[index], self._noise(index), radii[index]
             found = {
-                part: ask(plane[part.pixels], radius[part.pixels], part, noise, how, risk)
-                for row in parts
-                for part in row
+                part: judge(plane[part.pixels], radius[part.pixels], part, noise, how, risk)
+                for part in chain(*parts)
             }
-            return {name: _assembled(parts, found, name) for name in ("confidence", "cautious")}
+            return {
+                name: assembled(parts, {part: one[name] for part, one in found.items()})
+                for name in ("confidence", "cautious")
+            }
 
-        planes = [of_plane(index) for index in np.ndindex(self.plane_shape)]
-        together = {name: self._stacked([plane[name] for plane in planes]) for name in planes[0]}
-        return self._given_back(together, silent)
-
-    def _planes_of(self, name: str, array: Any) -> Any:
-        """Return an array that belongs to the image, (..., H, W), as a dask array."""
-        shape = self.plane_shape + self.image_shape
-        if np.shape(array) != shape:
-            raise ValueError(f"{name} has shape {np.shape(array)}; it takes the image's, {shape}")
-        return array if is_lazy(array) else _as_dask(np.asarray(array), len(self.plane_shape))
-
-    def _given_back(self, found: dict[str, Any], progress: Progress) -> dict[str, Any]:
-        return computed(found, progress) if self.in_memory else found
+        found = self.planes.each(of_plane)
+        return computed(found, silent) if self.planes.in_memory else found
 
     @property
     def _cutting(self) -> Cutting:
@@ -212,25 +166,17 @@ class LazyCandidates:
         paper = self.estimation.mode == "paper"
         return self.estimation if paper else replace(self.estimation, search=None)
 
-    def _stacked(self, planes: list[Any]) -> Any:
-        if not self.plane_shape:
-            return planes[0]
-        return da.stack(planes).reshape(self.plane_shape + planes[0].shape)
-
     def _noise(self, index: Index) -> Any:
         """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
-        given = self.noise_variance
-        if self._cutting.alone or not (given is None or isinstance(given, ShotNoise)):
-            return Noise(given)
+        if self._cutting.alone:
+            return Noise(self.noise_variance)
         if index not in self._noises:
-            plane, look = self.image[index], delayed(look_at_noise, pure=True)
-            pieces, every = _noise_pieces(self.image_shape)
-            samples = [look(plane[piece], self.estimation, every) for piece in pieces]
-            self._noises[index] = delayed(Noise.of_samples, pure=True)(given, samples)
+            plane, how = self.planes.image[index], self.estimation
+            self._noises[index] = noise_of_plane(plane, self.noise_variance, how.prepared)
         return self._noises[index]
 
     def _measured(self, index: Index, wanted: Wanted, seeds: Any) -> dict[str, Any]:
-        plane, noise, levels = self.image[index], self._noise(index), self._cutting.levels
+        plane, noise, levels = self.planes.image[index], self._noise(index), self._cutting.levels
         survey, measure = (delayed(what, pure=True) for what in (survey_part, measure_part))
 
         def seen(part: Part) -> tuple[Any, Any, Part, int]:
@@ -246,51 +192,49 @@ class LazyCandidates:
             cells = delayed(label_cells, pure=True)(surveys)
         parts = self._cutting.parts()
         found = {
-            part: measure(*seen(part), cells, noise, self._frugal, wanted)
-            for row in parts
-            for part in row
+            part: measure(*seen(part), cells, noise, self._frugal, wanted) for part in chain(*parts)
         }
-        return {
-            name: _assembled(parts, _blended(parts, found, name), name)
-            if dtype is np.float32
-            else _assembled(parts, found, name, dtype)
-            for name, dtype in wanted.dtypes.items()
-        }
+        results = {}
+        for name, dtype in wanted.dtypes.items():
+            pieces = {part: one[name] for part, one in found.items()}
+            pieces = blended_parts(parts, pieces) if dtype is np.float32 else pieces
+            results[name] = assembled(parts, pieces, dtype)
+        return results
 
     def _of_windows(self, name: str, length: int, *, search: Search | None) -> Any:
         ask, how = delayed(windows_of_part, pure=True), replace(self.estimation, search=search)
+        parts = self._cutting.parts(survey=True)
 
-        def of_plane(index: Index) -> Any:
-            plane, noise = self.image[index], self._noise(index)
-            return _concatenated(
-                [
-                    da.from_delayed(
-                        ask(plane[part.pixels], part, noise, how, name),
-                        (*part.own_windows, length),
-                        np.float32,
-                    )
-                    for part in row
-                ]
-                for row in self._cutting.parts(survey=True)
-            )
+        def of_plane(index: Index) -> dict[str, Any]:
+            plane, noise = self.planes.image[index], self._noise(index)
+            found = {
+                part: ask(plane[part.pixels], part, noise, how, name) for part in chain(*parts)
+            }
+            return {
+                name: assembled(parts, found, shape_of=lambda part: (*part.own_windows, length))
+            }
 
-        return self._stacked([of_plane(index) for index in np.ndindex(self.plane_shape)])
+        return self.planes.each(of_plane)[name]
 
 
-def _as_dask(array: NDArray[Any], plane_axes: int) -> Any:
-    return da.from_array(array, chunks=(1,) * plane_axes + array.shape[plane_axes:], name=False)
+def noise_of_plane(
+    plane: Any, given: float | ShotNoise | None, prepared: Callable[[NDArray[Any]], PreparedImage]
+) -> Any:
+    """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one.
 
-
-def _check(lazy: LazyCandidates, image: Any) -> None:
-    if np.dtype(image.dtype).kind not in "buif":
-        raise TypeError(
-            f"image has dtype {image.dtype}; it takes a real one (integers, floats or bool)"
-        )
-    if min(lazy.image_shape) < MIN_SIDE or 0 in lazy.plane_shape:
-        raise ValueError(
-            f"image has shape {image.shape}; it takes one plane or more, of at least {MIN_SIDE} "
-            "px a side"
-        )
+    Parameters
+    ----------
+    plane : (H, W) or (H, W, C) dask.array.Array
+    given : float, ShotNoise or None
+        What is known of it.
+    prepared : callable
+        Makes pixels ready.
+    """
+    if not (given is None or isinstance(given, ShotNoise)):
+        return Noise(given)
+    look, (pieces, every) = delayed(look_at_noise, pure=True), _noise_pieces(plane.shape[:2])
+    samples = [look(plane[piece], prepared, every) for piece in pieces]
+    return delayed(Noise.of_samples, pure=True)(given, samples)
 
 
 def _noise_pieces(shape: tuple[int, int]) -> tuple[list[tuple[slice, slice]], int]:
@@ -306,30 +250,6 @@ def _noise_pieces(shape: tuple[int, int]) -> tuple[list[tuple[slice, slice]], in
 def _starts(length: int) -> list[int]:
     count = min(_PIECES, max(1, length // _PIECE))
     return [int(start) for start in np.linspace(0, max(length - _PIECE, 0), count)]
-
-
-def _assembled(
-    parts: Grid, found: dict[Part, Any], name: str, dtype: DTypeLike = np.float32
-) -> Any:
-    """Put what was found of all parts' own pixels together."""
-    return _concatenated(
-        [da.from_delayed(found[part][name], part.own_shape, dtype) for part in row] for row in parts
-    )
-
-
-def _concatenated(rows: Iterable[list[Any]]) -> Any:
-    return da.concatenate([da.concatenate(row, axis=1) for row in rows], axis=0)
-
-
-def _blended(parts: Grid, found: dict[Part, Any], name: str) -> dict[Part, dict[str, Any]]:
-    """Put what the parts say of themselves and of what is beside them together."""
-    blend, places = delayed(blended, pure=True), np.ndindex(len(parts), len(parts[0]))
-    blocks = {}
-    for row, column in places:
-        near = [parts[y][x] for y, x in neighbors(parts, row, column)]
-        pieces = [(part, found[part][name]) for part in near]
-        blocks[parts[row][column]] = {name: blend(parts[row][column], pieces)}
-    return blocks
 
 
 def computed(arrays: dict[str, Any], progress: Progress) -> dict[str, NDArray[Any]]:

@@ -342,10 +342,12 @@ def estimate_candidates(
         need_large_extra()
         from napari_defocus.block_tasks import Estimation
         from napari_defocus.blocks import LazyCandidates
+        from napari_defocus.lazy_planes import LazyPlanes
 
         check_linearize(linearize)
         how = Estimation(psf, window, stride, mode, spectra, search, linearize, intensity_range)
-        lazy: Any = LazyCandidates.of(image, roles, how, noise_variance, block_size)
+        planes = LazyPlanes.of(image, roles)
+        lazy: Any = LazyCandidates(planes, how, noise_variance, block_size)
         return lazy
     picture = prepare_image(image, intensity_range, linearize)
     progress("Measuring the noise", 0.0)

@@ -1,0 +1,134 @@
+"""The planes of a stack, or a picture larger than memory, cut into parts and put together again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import dask.array as da
+import numpy as np
+from dask import delayed
+from numpy.typing import DTypeLike, NDArray
+
+from napari_defocus.axes import is_lazy, planes_first
+from napari_defocus.image import MIN_SIDE
+from napari_defocus.parts import Part, blended, neighbors
+
+Index = tuple[int, ...]
+Parts = list[list[Part]]
+
+
+@dataclass(frozen=True, eq=False)
+class LazyPlanes:
+    """An image whose planes are computed one at a time, or part by part.
+
+    Attributes
+    ----------
+    image : dask.array.Array
+        Planes first, then (H, W), or (H, W, 3 or 4) if `has_colors`.
+    given_shape : tuple of int
+        Of the image as it was given.
+    has_colors : bool
+    in_memory : bool
+        Whether it was an array in memory, and results are wanted as such.
+    """
+
+    image: Any
+    given_shape: Index
+    has_colors: bool
+    in_memory: bool
+
+    @classmethod
+    def of(cls, image: Any, roles: str) -> LazyPlanes:
+        """Arrange an array of numpy or dask whose axes are known, see `axes.axis_roles`.
+
+        Raises
+        ------
+        TypeError
+            If it has no real dtype.
+        ValueError
+            If it has no plane, or a side below 3 px.
+        """
+        arranged, in_memory = planes_first(image, roles), not is_lazy(image)
+        has_colors = "s" in roles and arranged.ndim == len(roles)
+        if np.dtype(image.dtype).kind not in "buif":
+            raise TypeError(
+                f"image has dtype {image.dtype}; it takes a real one (integers, floats or bool)"
+            )
+        if in_memory:
+            arranged = _as_dask(arranged, arranged.ndim - 2 - has_colors)
+        planes = cls(arranged, image.shape, has_colors, in_memory)
+        if min(planes.shape) < MIN_SIDE or 0 in planes.counts:
+            raise ValueError(
+                f"image has shape {image.shape}; it takes one plane or more, of at least "
+                f"{MIN_SIDE} px a side"
+            )
+        return planes
+
+    @property
+    def counts(self) -> Index:
+        """How many planes there are along each axis before the last two; () for one picture."""
+        return tuple(int(n) for n in self.image.shape[: self.image.ndim - 2 - self.has_colors])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of a plane, in px."""
+        height, width = self.image.shape[len(self.counts) :][:2]
+        return int(height), int(width)
+
+    def check_same(self, image: Any) -> None:
+        """Refuse another image than this one."""
+        if np.shape(image) != self.given_shape:
+            raise ValueError(
+                f"image has shape {np.shape(image)}; these candidates are of an image of shape "
+                f"{self.given_shape}"
+            )
+
+    def belonging(self, name: str, array: Any) -> Any:
+        """Return an array with a value for each pixel, (..., H, W), as a dask array."""
+        shape = self.counts + self.shape
+        if np.shape(array) != shape:
+            raise ValueError(f"{name} has shape {np.shape(array)}; it takes the image's, {shape}")
+        return array if is_lazy(array) else _as_dask(np.asarray(array), len(self.counts))
+
+    def each(self, of_plane: Callable[[Index], dict[str, Any]]) -> dict[str, Any]:
+        """Put what a function returns for the index of each plane together, by name."""
+        found = [of_plane(index) for index in np.ndindex(self.counts)]
+        return {name: self._stacked([plane[name] for plane in found]) for name in found[0]}
+
+    def _stacked(self, planes: list[Any]) -> Any:
+        if not self.counts:
+            return planes[0]
+        return da.stack(planes).reshape(self.counts + planes[0].shape)
+
+
+def _as_dask(array: NDArray[Any], plane_axes: int) -> Any:
+    return da.from_array(array, chunks=(1,) * plane_axes + array.shape[plane_axes:], name=False)
+
+
+def assembled(
+    parts: Parts,
+    found: dict[Part, Any],
+    dtype: DTypeLike = np.float32,
+    shape_of: Callable[[Part], Index] = lambda part: part.own_shape,
+) -> Any:
+    """Put what was found of all parts' own pixels, delayed arrays, together."""
+    return _concatenated(
+        [da.from_delayed(found[part], shape_of(part), dtype) for part in row] for row in parts
+    )
+
+
+def _concatenated(rows: Iterable[list[Any]]) -> Any:
+    return da.concatenate([da.concatenate(row, axis=1) for row in rows], axis=0)
+
+
+def blended_parts(parts: Parts, found: dict[Part, Any]) -> dict[Part, Any]:
+    """Put what the parts say of themselves and of what is beside them together."""
+    blend, places = delayed(blended, pure=True), np.ndindex(len(parts), len(parts[0]))
+    blocks = {}
+    for row, column in places:
+        near = [parts[y][x] for y, x in neighbors(parts, row, column)]
+        pieces = [(part, found[part]) for part in near]
+        blocks[parts[row][column]] = blend(parts[row][column], pieces)
+    return blocks
