@@ -14,6 +14,7 @@ from napari_defocus import (
     estimate_blur_map,
     estimate_candidates,
     label_blur_map,
+    restore_all_in_focus,
     segment_in_focus,
     simulate_defocus,
 )
@@ -187,7 +188,7 @@ def test_progress_of_a_stack_can_stop_it(stack):
 def cluster():
     with (
         LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
         ) as local,
         Client(local) as client,
     ):
@@ -266,3 +267,20 @@ def test_results_are_stored_part_by_part_and_gone_on_with(tmp_path, picture, laz
             store(found, {"blur_map": writer}, stop_at_the_half)
     levels = read_ome_zarr(tmp_path / "map.ome.zarr").levels
     np.testing.assert_array_equal(levels[0].compute(), in_parts["blur_map"])
+
+
+def test_large_picture_is_restored_part_by_part(picture):
+    part = picture[:280, :90]
+    radius = np.full(part.shape, 1.5, np.float32)
+    whole = restore_all_in_focus(part, radius, noise_variance=NOISE)
+    lazy = restore_all_in_focus(
+        da.from_array(part, chunks=100), radius, noise_variance=NOISE, block_size=BLOCK
+    )
+    assert np.mean((lazy.compute() - whole) ** 2) < 1e-5
+
+
+def test_stack_is_restored_plane_by_plane(stack):
+    radius = np.full((2, 90, 100), 1.5, np.float32)
+    colored = np.repeat(stack[:2, :, :, None], 3, axis=3)
+    found = restore_all_in_focus(colored, radius, axes="zyxs")
+    np.testing.assert_allclose(found[1], restore_all_in_focus(colored[1], radius[1]), atol=1e-6)

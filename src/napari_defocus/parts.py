@@ -159,7 +159,10 @@ class Cutting:
 
     def parts(self, *, survey: bool = False) -> list[list[Part]]:
         """Return rows of parts; for a survey, those that see just enough for the data term."""
-        reach = (_SURVEY_REACH if survey else _LABEL_REACH) * self.window
+        return self.parts_that_see((_SURVEY_REACH if survey else _LABEL_REACH) * self.window)
+
+    def parts_that_see(self, reach: float) -> list[list[Part]]:
+        """Return rows of parts that see so many px around themselves."""
         columns = self._spans(1, reach)
         return [[Part(row, column) for column in columns] for row in self._spans(0, reach)]
 
@@ -193,14 +196,15 @@ def blended(target: Part, pieces: list[tuple[Part, Float32]]) -> Float32:
     Parameters
     ----------
     target : Part
-    pieces : list of (Part, (h, w) float32 ndarray)
+    pieces : list of (Part, (h, w) or (h, w, C) float32 ndarray)
         Each with what it says of its own pixels and those beyond, see `Span.extended`.
 
     Returns
     -------
-    (h, w) float32 ndarray
+    (h, w) or (h, w, C) float32 ndarray
     """
-    result = np.zeros(target.own_shape, np.float32)
+    colors = pieces[0][1].shape[2:]
+    result = np.zeros(target.own_shape + colors, np.float32)
     for part, values in pieces:
         into, out_of, shares = [], [], []
         for own, span in zip((target.rows, target.columns), (part.rows, part.columns), strict=True):
@@ -209,5 +213,6 @@ def blended(target: Part, pieces: list[tuple[Part, Float32]]) -> Float32:
             out_of.append(slice(low - span.extended[0], high - span.extended[0]))
             shares.append(span.share(np.arange(low, high)))
         if all(part.stop > part.start for part in into):
-            result[tuple(into)] += np.outer(*shares) * values[tuple(out_of)]
+            share = np.outer(*shares).reshape(len(shares[0]), len(shares[1]), *(1 for _ in colors))
+            result[tuple(into)] += share * values[tuple(out_of)]
     return result

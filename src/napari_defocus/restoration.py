@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.ndimage import gaussian_filter, minimum_filter
 
+from napari_defocus.axes import arranged_image
 from napari_defocus.blur_operator import BlurOperator, checked_scales, half_variance_slope
 from napari_defocus.image import (
     LUMA_WEIGHTS,
@@ -36,13 +37,17 @@ from napari_defocus.image import (
     encode_srgb,
     prepare_image,
 )
+from napari_defocus.lazy_arrays import need_large_extra
 from napari_defocus.noise import estimate_noise_variance
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily, as_family
 from napari_defocus.settings import (
+    BLOCK_SIZE,
     Linearize,
     MapSettings,
     RestorationSettings,
+    check_block_size,
+    check_linearize,
     check_noise_variance,
     check_tv_weight,
 )
@@ -86,6 +91,9 @@ def restore_all_in_focus(
     tv_weight: float | None = RestorationSettings.tv_weight,
     linearize: Linearize | None = MapSettings.linearize,
     intensity_range: tuple[float, float] | None = None,
+    axes: str | None = None,
+    channel_axis: int | None = None,
+    block_size: int = BLOCK_SIZE,
     progress: Progress = silent,
 ) -> Float32:
     """Take the blur of a map away: minimise (19).
@@ -97,9 +105,10 @@ def restore_all_in_focus(
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
-        Any real dtype, see `estimate_candidates`. Transparent pixels are no data; opacity
-        comes back as it was.
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
+        Any real dtype, see `estimate_candidates`. A stack if `axes` or `channel_axis` says so,
+        then `blur_map` and `confidence` are (..., H, W), as `estimate_blur_map` gives them.
+        Transparent pixels are no data; opacity comes back as it was.
     blur_map : (H, W) array_like
         Scale at every pixel, in px, within the family's domain.
     psf : PSFFamily or callable, optional
@@ -118,13 +127,16 @@ def restore_all_in_focus(
         Decode the picture into linear light before, and encode it afterwards.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1.
+    axes, channel_axis, block_size
+        See `estimate_candidates`.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
     Returns
     -------
     float32 ndarray
-        Of the shape of `image`, in [0, 1].
+        Of the shape of `image`, in [0, 1]; of a stack, its planes' axes first and its colours
+        last. A dask array if one came in.
 
     Raises
     ------
@@ -156,6 +168,23 @@ def restore_all_in_focus(
     psf = as_family(psf)
     check_noise_variance(noise_variance)
     check_tv_weight(tv_weight)
+    check_block_size(block_size)
+    image, roles = arranged_image(image, axes, channel_axis)
+    if roles:
+        need_large_extra()
+        from napari_defocus.block_restoration import PartRestoration, restore_planes
+        from napari_defocus.lazy_planes import LazyPlanes
+
+        check_linearize(linearize)
+        how = PartRestoration(
+            psf=psf,
+            noise_variance=noise_variance,
+            tv_weight=tv_weight,
+            linearize=linearize,
+            intensity_range=intensity_range,
+        )
+        planes = LazyPlanes.of(image, roles)
+        return restore_planes(planes, blur_map, confidence, how, block_size, progress)
     picture = prepare_image(image, intensity_range, linearize)
     scales = checked_scales(blur_map, picture.shape, psf)
     sure = None if confidence is None else _checked_confidence(confidence, picture.shape)

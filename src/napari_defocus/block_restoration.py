@@ -1,0 +1,110 @@
+"""The all-in-focus pictures of stacks, and of pictures larger than memory, part by part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from dask import delayed
+from numpy.typing import NDArray
+
+from napari_defocus.block_tasks import Noise, task
+from napari_defocus.blocks import computed, noise_of_plane
+from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.lazy_planes import Index, LazyPlanes, assembled, blended_parts
+from napari_defocus.parts import Cutting, Part
+from napari_defocus.progress import Progress
+from napari_defocus.psf import PSFFamily
+from napari_defocus.restoration import restore_all_in_focus
+from napari_defocus.settings import Linearize, MapSettings
+
+Float32 = NDArray[np.float32]
+
+_REACH = 64
+"""px around a part that have a say in it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartRestoration:
+    """How a part is restored: what `restore_all_in_focus` takes, but for arrays."""
+
+    psf: PSFFamily
+    noise_variance: float | None
+    tv_weight: float | None
+    linearize: Linearize | None
+    intensity_range: tuple[float, float] | None
+
+    def prepared(self, pixels: NDArray[Any]) -> PreparedImage:
+        """Return the picture as it is restored."""
+        return prepare_image(pixels, self.intensity_range, self.linearize)
+
+
+@task
+def restore_part(
+    pixels: NDArray[Any],
+    blur_map: NDArray[Any],
+    confidence: NDArray[Any] | None,
+    part: Part,
+    noise: Noise,
+    how: PartRestoration,
+) -> Float32:
+    """Restore what a part sees, and return its own pixels and those that it goes over into."""
+    restored = restore_all_in_focus(
+        pixels,
+        blur_map,
+        psf=how.psf,
+        noise_variance=noise.of(how.prepared(pixels))[0],
+        confidence=confidence,
+        tv_weight=how.tv_weight,
+        linearize=how.linearize,
+        intensity_range=how.intensity_range,
+    )
+    return restored[part.own(extended=True)].copy()
+
+
+def restore_planes(
+    planes: LazyPlanes,
+    blur_map: Any,
+    confidence: Any,
+    how: PartRestoration,
+    block_size: int,
+    progress: Progress,
+) -> Any:
+    """Do the work of `restore_all_in_focus`, which see, plane by plane and part by part.
+
+    Returns
+    -------
+    (..., H, W) or (..., H, W, 3 or 4) dask.array.Array
+        Or an array, if the image was one.
+    """
+    radii = planes.belonging("blur_map", blur_map)
+    sure = None if confidence is None else planes.belonging("confidence", confidence)
+    cutting = Cutting(planes.shape, MapSettings.window, MapSettings.stride, block_size)
+    parts, restore = cutting.parts_that_see(_REACH), delayed(restore_part, pure=True)
+    colors = planes.image.shape[-1:] if planes.has_colors else ()
+
+    def of_plane(index: Index) -> dict[str, Any]:
+        plane, given = planes.image[index], how.noise_variance
+        noise = Noise(given) if cutting.alone else noise_of_plane(plane, given, how.prepared)
+        found = {
+            part: restore(
+                plane[part.pixels],
+                radii[(*index, *part.pixels)],
+                None if sure is None else sure[(*index, *part.pixels)],
+                part,
+                noise,
+                how,
+            )
+            for part in chain(*parts)
+        }
+        whole = assembled(
+            parts,
+            blended_parts(parts, found),
+            shape_of=lambda part: part.own_shape + colors,
+        )
+        return {"restored": whole}
+
+    restored = planes.each(of_plane)
+    return (computed(restored, progress) if planes.in_memory else restored)["restored"]
