@@ -27,6 +27,7 @@ from pictures import SIDE, sharp_pictures
 from napari_defocus import estimate_blur_map, simulate_defocus
 from napari_defocus.ome_zarr import read_ome_zarr
 from napari_defocus.ome_zarr_writer import new_ome_zarr
+from napari_defocus.sources import open_source
 
 NOISE = 1e-6
 REGION, HALO = 1024, 24
@@ -136,7 +137,7 @@ def found_map(output: Path) -> Path:
 
 
 def report(mosaic: Path, found: Path, seconds: float, memory: int, count: int) -> None:
-    image = read_ome_zarr(mosaic).levels[0]
+    image = open_source(mosaic).data
     blur_map = read_ome_zarr(found).levels[0]
     side = image.shape[0]
     starts = np.linspace(0, side - PIECE, count).astype(int) // REGION * REGION

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any
 
 import numpy as np
-from dask import delayed
 from numpy.typing import NDArray
 
+from napari_defocus.block_graph import PartGraph, pixels, placed
 from napari_defocus.block_tasks import Noise, task
 from napari_defocus.blocks import computed, noise_of_plane
 from napari_defocus.image import PreparedImage, prepare_image
-from napari_defocus.lazy_planes import Index, LazyPlanes, assembled, blended_parts
-from napari_defocus.parts import Cutting, Part
+from napari_defocus.lazy_planes import Index, LazyPlanes
+from napari_defocus.parts import Cutting, Part, blended, neighbors
 from napari_defocus.progress import Progress
 from napari_defocus.psf import PSFFamily
 from napari_defocus.restoration import restore_all_in_focus
@@ -82,29 +81,26 @@ def restore_planes(
     radii = planes.belonging("blur_map", blur_map)
     sure = None if confidence is None else planes.belonging("confidence", confidence)
     cutting = Cutting(planes.shape, MapSettings.window, MapSettings.stride, block_size)
-    parts, restore = cutting.parts_that_see(_REACH), delayed(restore_part, pure=True)
+    parts = cutting.parts_that_see(_REACH)
     colors = planes.image.shape[-1:] if planes.has_colors else ()
 
     def of_plane(index: Index) -> dict[str, Any]:
-        plane, given = planes.image[index], how.noise_variance
+        plane, given, radius = planes.plane(index), how.noise_variance, radii[index]
         noise = Noise(given) if cutting.alone else noise_of_plane(plane, given, how.prepared)
-        found = {
-            part: restore(
-                plane[part.pixels],
-                radii[(*index, *part.pixels)],
-                None if sure is None else sure[(*index, *part.pixels)],
-                part,
-                noise,
-                how,
-            )
-            for part in chain(*parts)
-        }
-        whole = assembled(
-            parts,
-            blended_parts(parts, found),
-            shape_of=lambda part: part.own_shape + colors,
-        )
-        return {"restored": whole}
+        certain = None if sure is None else sure[index]
+        graph = PartGraph.of("restored", [plane, radius, certain, noise], how, block_size)
+        for part, place in placed(parts):
+            known = pixels(plane, part.pixels), pixels(radius, part.pixels)
+            trusted = None if certain is None else pixels(certain, part.pixels)
+            graph.add(place, restore_part, *known, trusted, part, graph.key_of(noise), how)
+
+        def task_of(row: int, column: int) -> Any:
+            near = list(neighbors(parts, row, column))
+            seen = [(parts[y][x], (graph.name, y, x)) for y, x in near]
+            return blended, parts[row][column], [list(one) for one in seen]
+
+        shape_of = lambda part: part.own_shape + colors  # noqa: E731
+        return {"restored": graph.array("in_focus", parts, task_of, np.float32, shape_of)}
 
     restored = planes.each(of_plane)
     return (computed(restored, progress) if planes.in_memory else restored)["restored"]

@@ -25,7 +25,7 @@ from napari_defocus.noise import (
     noise_variance_of,
     noise_variance_of_samples,
 )
-from napari_defocus.parts import Part
+from napari_defocus.parts import Part, blended
 from napari_defocus.psf import PSFFamily
 from napari_defocus.scene import CoarseLabels, Scene
 from napari_defocus.segmentation import coarse_mask_problem, mask_of_scene
@@ -260,7 +260,7 @@ def measure_part(
     seeds: NDArray[Any] | None,
     part: Part,
     levels: int,
-    cells: dict[str, NDArray[np.int32]],
+    cells: dict[str, NDArray[np.int32]] | None,
     noise: Noise,
     how: Estimation,
     wanted: Wanted,
@@ -270,7 +270,7 @@ def measure_part(
     at = part.cells(levels)
     around = {
         name: CoarseLabels(np.ascontiguousarray(labels[at]), part.own_cells(0), part.inner_sides)
-        for name, labels in cells.items()
+        for name, labels in (cells or {}).items()
     }
     found = wanted.measure(scene, around, seeds)
     return {
@@ -300,3 +300,8 @@ def windows_of_part(
     """Return an attribute of the candidates of a part's own windows."""
     values: Float32 = getattr(how.candidates(pixels, noise), name)
     return values[part.own_cells(0)].copy()
+
+
+def blend_named(target: Part, near: list[Part], found: list[Found], name: str) -> Float32:
+    """Put a part together from what it and its neighbours say of it, see `parts.blended`."""
+    return blended(target, [(part, one[name]) for part, one in zip(near, found, strict=True)])

@@ -11,20 +11,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from itertools import chain, product
+from dataclasses import dataclass, replace
+from itertools import product
+from operator import itemgetter
 from typing import Any
 
 import dask
 import numpy as np
 from dask import delayed
 from dask.callbacks import Callback
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
+from napari_defocus.block_graph import PartGraph, Parts, after, cut_together, pixels, placed
 from napari_defocus.block_tasks import (
     Estimation,
     Noise,
     Wanted,
+    blend_named,
     judge_part,
     label_cells,
     look_at_noise,
@@ -34,10 +37,10 @@ from napari_defocus.block_tasks import (
 )
 from napari_defocus.candidates import CANDIDATES, Search
 from napari_defocus.image import PreparedImage
-from napari_defocus.lazy_planes import Index, LazyPlanes, assembled, blended_parts
+from napari_defocus.lazy_planes import Index, LazyPlanes
 from napari_defocus.noise import ShotNoise
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
-from napari_defocus.parts import Cutting, Part
+from napari_defocus.parts import Cutting, Part, neighbors
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import PSFFamily
 from napari_defocus.settings import RestorationSettings
@@ -80,7 +83,6 @@ class LazyCandidates:
     estimation: Estimation
     noise_variance: float | ShotNoise | None
     block_size: int
-    _noises: dict[Index, Any] = field(default_factory=dict, repr=False)
 
     @property
     def plane_shape(self) -> Index:
@@ -138,19 +140,15 @@ class LazyCandidates:
     def judged(self, blur_map: Any, risk: float = RestorationSettings.risk) -> dict[str, Any]:
         """Return `confidence_map` and `cautious_blur_map` of any map, (..., H, W), by name."""
         radii = self.planes.belonging("blur_map", blur_map)
-        judge, how = delayed(judge_part, pure=True), self._frugal
         parts = self._cutting.parts()
 
         def of_plane(index: Index) -> dict[str, Any]:
-            plane, noise, radius = self.planes.image[index], self._noise(index), radii[index]
-            found = {
-                part: judge(plane[part.pixels], radius[part.pixels], part, noise, how, risk)
-                for part in chain(*parts)
-            }
-            return {
-                name: assembled(parts, {part: one[name] for part, one in found.items()})
-                for name in ("confidence", "cautious")
-            }
+            plane, radius, noise = self.planes.plane(index), radii[index], self._noise(index)
+            graph = PartGraph.of("judged", [plane, radius, noise], self._made_with, risk)
+            for part, place in placed(parts):
+                seen = pixels(plane, part.pixels), pixels(radius, part.pixels), part
+                graph.add(place, judge_part, *seen, graph.key_of(noise), self._frugal, risk)
+            return {name: _picked(graph, parts, name) for name in ("confidence", "cautious")}
 
         found = self.planes.each(of_plane)
         return computed(found, silent) if self.planes.in_memory else found
@@ -166,55 +164,85 @@ class LazyCandidates:
         paper = self.estimation.mode == "paper"
         return self.estimation if paper else replace(self.estimation, search=None)
 
+    @property
+    def _made_with(self) -> tuple[Any, ...]:
+        return self.estimation, self.noise_variance, self.block_size
+
     def _noise(self, index: Index) -> Any:
         """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
         if self._cutting.alone:
             return Noise(self.noise_variance)
-        if index not in self._noises:
-            plane, how = self.planes.image[index], self.estimation
-            self._noises[index] = noise_of_plane(plane, self.noise_variance, how.prepared)
-        return self._noises[index]
+        plane = self.planes.plane(index)
+        return noise_of_plane(plane, self.noise_variance, self.estimation.prepared)
 
     def _measured(self, index: Index, wanted: Wanted, seeds: Any) -> dict[str, Any]:
-        plane, noise, levels = self.planes.image[index], self._noise(index), self._cutting.levels
-        survey, measure = (delayed(what, pure=True) for what in (survey_part, measure_part))
-
-        def seen(part: Part) -> tuple[Any, Any, Part, int]:
-            known = None if seeds is None else seeds[part.pixels]
-            return plane[part.pixels], known, part, levels
-
-        cells: Any = {}
+        plane, noise = self.planes.plane(index), self._noise(index)
+        cells = None
         if not self._cutting.alone:
-            surveys = [
-                [survey(*seen(part), noise, self._frugal, wanted) for part in row]
-                for row in self._cutting.parts(survey=True)
-            ]
-            cells = delayed(label_cells, pure=True)(surveys)
+            cells = self._labels_of_cells(plane, noise, wanted, seeds)
+            plane = after(plane, cells)
         parts = self._cutting.parts()
-        found = {
-            part: measure(*seen(part), cells, noise, self._frugal, wanted) for part in chain(*parts)
+        sources = [plane, noise, seeds, cells]
+        graph = PartGraph.of("measured", sources, self._made_with, wanted)
+        for part, place in placed(parts):
+            seen = pixels(plane, part.pixels), _seeds_of(seeds, part), part, self._cutting.levels
+            known = graph.key_of(cells), graph.key_of(noise)
+            graph.add(place, measure_part, *seen, *known, self._frugal, wanted)
+
+        return {
+            name: _blended(graph, parts, name)
+            if dtype is np.float32
+            else _picked(graph, parts, name, dtype)
+            for name, dtype in wanted.dtypes.items()
         }
-        results = {}
-        for name, dtype in wanted.dtypes.items():
-            pieces = {part: one[name] for part, one in found.items()}
-            pieces = blended_parts(parts, pieces) if dtype is np.float32 else pieces
-            results[name] = assembled(parts, pieces, dtype)
-        return results
+
+    def _labels_of_cells(self, plane: Any, noise: Any, wanted: Wanted, seeds: Any) -> Any:
+        """Return the labels of the whole plane's cells, delayed."""
+        graph = PartGraph.of("surveyed", [plane, noise, seeds], self._made_with, wanted)
+        parts, levels = self._cutting.parts(survey=True), self._cutting.levels
+        surveys: list[list[Any]] = [[] for _ in parts]
+        for part, place in placed(parts):
+            seen = pixels(plane, part.pixels), _seeds_of(seeds, part), part, levels
+            how = graph.key_of(noise), self._frugal, wanted
+            surveys[place[0]].append(graph.add(place, survey_part, *seen, *how))
+        return graph.value(graph.add("cells", label_cells, surveys))
 
     def _of_windows(self, name: str, length: int, *, search: Search | None) -> Any:
-        ask, how = delayed(windows_of_part, pure=True), replace(self.estimation, search=search)
-        parts = self._cutting.parts(survey=True)
+        parts, how = self._cutting.parts(survey=True), replace(self.estimation, search=search)
 
         def of_plane(index: Index) -> dict[str, Any]:
-            plane, noise = self.planes.image[index], self._noise(index)
-            found = {
-                part: ask(plane[part.pixels], part, noise, how, name) for part in chain(*parts)
-            }
-            return {
-                name: assembled(parts, found, shape_of=lambda part: (*part.own_windows, length))
-            }
+            plane, noise = self.planes.plane(index), self._noise(index)
+            graph = PartGraph.of(f"{name}-of", [plane, noise], self._made_with, search)
+
+            def task_of(row: int, column: int) -> Any:
+                part = parts[row][column]
+                seen = pixels(plane, part.pixels), part
+                return windows_of_part, *seen, graph.key_of(noise), how, name
+
+            shape_of = lambda part: (*part.own_windows, length)  # noqa: E731
+            return {name: graph.array(name, parts, task_of, np.float32, shape_of)}
 
         return self.planes.each(of_plane)[name]
+
+
+def _picked(graph: PartGraph, parts: Parts, name: str, dtype: DTypeLike = np.float32) -> Any:
+    """Return one result of all parts: a dask array."""
+    return graph.array(name, parts, lambda *place: (itemgetter(name), (graph.name, *place)), dtype)
+
+
+def _blended(graph: PartGraph, parts: Parts, name: str) -> Any:
+    """Return one result of all parts, which go over into each other: a dask array."""
+
+    def task_of(row: int, column: int) -> tuple[Any, ...]:
+        at = list(neighbors(parts, row, column))
+        near, found = [parts[y][x] for y, x in at], [(graph.name, y, x) for y, x in at]
+        return blend_named, parts[row][column], near, found, name
+
+    return graph.array(name, parts, task_of)
+
+
+def _seeds_of(seeds: Any, part: Part) -> Any:
+    return None if seeds is None else pixels(seeds, part.pixels)
 
 
 def noise_of_plane(
@@ -232,9 +260,13 @@ def noise_of_plane(
     """
     if not (given is None or isinstance(given, ShotNoise)):
         return Noise(given)
-    look, (pieces, every) = delayed(look_at_noise, pure=True), _noise_pieces(plane.shape[:2])
-    samples = [look(plane[piece], prepared, every) for piece in pieces]
-    return delayed(Noise.of_samples, pure=True)(given, samples)
+    pieces, every = _noise_pieces(plane.shape[:2])
+    graph = PartGraph.of("noise", [plane], given, prepared)
+    samples = [
+        graph.add(number, look_at_noise, pixels(plane, piece), prepared, every)
+        for number, piece in enumerate(pieces)
+    ]
+    return graph.value(graph.add("of samples", Noise.of_samples, given, samples))
 
 
 def _noise_pieces(shape: tuple[int, int]) -> tuple[list[tuple[slice, slice]], int]:
@@ -276,17 +308,19 @@ def store(arrays: dict[str, Any], writers: dict[str, OmeZarrWriter], progress: P
     Parameters
     ----------
     arrays : dict of str to dask.array.Array
-        From `LazyCandidates.measure` and the like.
+        From `LazyCandidates.measure` and the like, all of one shape.
     writers : dict of str to OmeZarrWriter
-        A new store for each, of its shape.
+        A new store for each, of its shape; all with tiles of one size.
     progress : callable
         An exception from it ends the work; the stores may be gone on with.
     """
     write = delayed(OmeZarrWriter.write_region, pure=False)
+    first, tile = next(iter(arrays.values())), next(iter(writers.values())).tile
+    regions = list(whole_tiles(first, tile))
     left = [
-        write(writers[name], region, array[region])
-        for name, array in arrays.items()
-        for region in whole_tiles(array, writers[name].tile)
+        write(writers[name], region, piece[name])
+        for region, piece in zip(regions, cut_together(arrays, regions), strict=True)
+        for name in arrays
         if not writers[name].has_region(region)
     ]
     _compute(left, progress)

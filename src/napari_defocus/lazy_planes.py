@@ -1,19 +1,18 @@
-"""The planes of a stack, or a picture larger than memory, cut into parts and put together again."""
+"""The planes of a stack, or a picture larger than memory, whatever the order of its axes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import dask.array as da
 import numpy as np
-from dask import delayed
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from napari_defocus.axes import is_lazy, planes_first
 from napari_defocus.image import MIN_SIDE
-from napari_defocus.parts import Part, blended, neighbors
+from napari_defocus.parts import Part
 
 Index = tuple[int, ...]
 Parts = list[list[Part]]
@@ -92,6 +91,11 @@ class LazyPlanes:
             raise ValueError(f"{name} has shape {np.shape(array)}; it takes the image's, {shape}")
         return array if is_lazy(array) else _as_dask(np.asarray(array), len(self.counts))
 
+    def plane(self, index: Index) -> Any:
+        """Return a plane whose blocks have all colours: (H, W) or (H, W, C) dask.array.Array."""
+        plane = self.image[index]
+        return plane.rechunk({2: -1}) if self.has_colors and plane.numblocks[2] > 1 else plane
+
     def each(self, of_plane: Callable[[Index], dict[str, Any]]) -> dict[str, Any]:
         """Put what a function returns for the index of each plane together, by name."""
         found = [of_plane(index) for index in np.ndindex(self.counts)]
@@ -105,30 +109,3 @@ class LazyPlanes:
 
 def _as_dask(array: NDArray[Any], plane_axes: int) -> Any:
     return da.from_array(array, chunks=(1,) * plane_axes + array.shape[plane_axes:], name=False)
-
-
-def assembled(
-    parts: Parts,
-    found: dict[Part, Any],
-    dtype: DTypeLike = np.float32,
-    shape_of: Callable[[Part], Index] = lambda part: part.own_shape,
-) -> Any:
-    """Put what was found of all parts' own pixels, delayed arrays, together."""
-    return _concatenated(
-        [da.from_delayed(found[part], shape_of(part), dtype) for part in row] for row in parts
-    )
-
-
-def _concatenated(rows: Iterable[list[Any]]) -> Any:
-    return da.concatenate([da.concatenate(row, axis=1) for row in rows], axis=0)
-
-
-def blended_parts(parts: Parts, found: dict[Part, Any]) -> dict[Part, Any]:
-    """Put what the parts say of themselves and of what is beside them together."""
-    blend, places = delayed(blended, pure=True), np.ndindex(len(parts), len(parts[0]))
-    blocks = {}
-    for row, column in places:
-        near = [parts[y][x] for y, x in neighbors(parts, row, column)]
-        pieces = [(part, found[part]) for part in near]
-        blocks[parts[row][column]] = blend(parts[row][column], pieces)
-    return blocks
