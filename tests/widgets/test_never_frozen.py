@@ -99,6 +99,7 @@ run.progressed.connect(lambda step, done: steps.append(step))
 give_up = time.monotonic() + 60
 while {step!r} not in steps and time.monotonic() < give_up:
     QApplication.processEvents()
+    time.sleep(0.01)  # without it, the thread of the run would hardly have a turn
 print("children", len(psutil.Process().children()), flush=True)
 viewer.close()
 end = time.monotonic() + 5
