@@ -74,7 +74,7 @@ def test(arguments):
     install("development")
     if sys.platform == "linux":
         install_display_packages()
-    return call(PYTHON, "-m", "pytest", *arguments)
+    return call(PYTHON, "-m", "pytest", "-n", "2", "--dist", "loadgroup", *arguments)
 
 
 def lint(_arguments):

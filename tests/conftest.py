@@ -11,6 +11,20 @@ from napari_defocus import simulate_defocus
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
+def pytest_collection_modifyitems(config, items):
+    """Let processes share the tests: those of a file go together, and all that open windows.
+
+    The latter, half of the time, begin first.
+    """
+    if not config.pluginmanager.hasplugin("xdist"):
+        return
+    with_windows = {item.path for item in items if item.get_closest_marker("display")}
+    for item in items:
+        group = "windows" if item.path in with_windows else item.path.stem
+        item.add_marker(pytest.mark.xdist_group(group))
+    items.sort(key=lambda item: item.path not in with_windows)
+
+
 def _locked(picture):
     picture.setflags(write=False)
     return picture
