@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -208,8 +209,13 @@ def identity(path: Path) -> Facts:
         "path": str(path.resolve()),
         "files": len(files),
         "bytes": sum(file.st_size for file in files),
-        "changed_ns": max((file.st_mtime_ns for file in files), default=0),
+        "time of change": _told_time(max((file.st_mtime_ns for file in files), default=0)),
     }
+
+
+def _told_time(nanoseconds: int) -> str:
+    seconds, rest = divmod(nanoseconds, 10**9)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest:09d} UTC"
 
 
 def _files(folder: Path) -> Iterator[os.stat_result]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from napari_defocus.lazy_arrays import need_large_extra
@@ -179,19 +181,46 @@ def _own_cluster(workers: int) -> Iterator[Client]:
 
     threads = str(max(1, cores() // workers))
     started_with = dict.fromkeys(_THREADS, threads)
-    with (
-        dask.config.set({"distributed.nanny.pre-spawn-environ": started_with}),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client
+    with ExitStack() as started:
+        with (
+            _without_interrupts(),
+            dask.config.set({"distributed.nanny.pre-spawn-environ": started_with}),
+        ):
+            cluster = started.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+            client = started.enter_context(Client(cluster))
+        try:
+            yield client
+        finally:
+            with _without_interrupts():
+                started.close()
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let Ctrl-C wait, here and for ever in processes that are started by threads of meanwhile.
+
+    A terminal sends it to workers, too, but it is for this process to end them. dask would not
+    clean up if it was interrupted while it starts or ends them.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Started with the first process, it would let interrupts through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
