@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, get_args
 
 import napari_defocus
 from napari_defocus.batch_files import BatchFolder
+from napari_defocus.batch_parts import PartNote, PlaneInParts
 from napari_defocus.batch_planes import (
     FinishTask,
     PlaneTask,
@@ -27,6 +28,7 @@ from napari_defocus.batch_planes import (
     reason,
 )
 from napari_defocus.batch_sources import (
+    LARGEST_AT_ONCE,
     BatchInput,
     FileFormat,
     SourceWork,
@@ -336,7 +338,7 @@ class _Batch:
 
         suspects = []
         for job, result in outcomes(client, next_job):
-            if isinstance(result, BaseException):
+            if isinstance(result, BaseException) and not job.divided:
                 suspects.append(job)
             else:
                 job.done(result)
@@ -349,7 +351,7 @@ class _Batch:
         for each in self.inputs:
             rows = finished_rows(each, self.folder, self.wanted)
             if rows is None:
-                yield Job(look_at, each.given.absolute(), partial(self._keep, each))
+                yield Job.call(look_at, each.given.absolute(), partial(self._keep, each))
                 continue
             self.rows[each.name] = rows
             px = sum(row["width"] * row["height"] for row in rows)
@@ -386,12 +388,42 @@ class _Batch:
         if not tasks:
             self._end(work)
         for task in tasks:
-            yield Job(measure_plane, task, partial(self._note, work, task))
+            if work.plane_px <= LARGEST_AT_ONCE:
+                yield Job.call(measure_plane, task, partial(self._note, work, task))
+            else:
+                yield from self._part_jobs(work, task)
+
+    def _part_jobs(self, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
+        """Yield the job of a large plane, unless that is finished or cannot be done."""
+        try:
+            plane = PlaneInParts(task)
+            parts = plane.graph()
+        except (TypeError, ValueError) as error:
+            self._note(work, task, error)
+            return
+        self.counter.skip(0, sum(note.px for note in plane.notes))
+        if parts:
+            left = iter(range(len(parts) - 1, -1, -1))
+            yield Job.graph(parts, lambda result: self._note_part(work, plane, next(left), result))
+        else:
+            self._note(work, task, plane.row())
+
+    def _note_part(
+        self, work: SourceWork, plane: PlaneInParts, left: int, result: PartNote | BaseException
+    ) -> None:
+        if isinstance(result, PartNote):
+            plane.notes.append(result)
+            self.counter.count(0, result.px)
+            self.counter.tell()
+        else:
+            plane.error = reason(result)
+        if not left:
+            self._note(work, plane.task, plane.row())
 
     def _note(self, work: SourceWork, task: PlaneTask, result: Row | BaseException) -> None:
         row = result if isinstance(result, dict) else failed(task.known, reason(result))
         work.rows[task.index] = row
-        self.counter.count(1, work.plane_px)
+        self.counter.count(1, 0 if work.plane_px > LARGEST_AT_ONCE else work.plane_px)
         self.counter.tell()
         if len(work.rows) == len(work.planes):
             self._end(work)
@@ -400,7 +432,7 @@ class _Batch:
         """Make the results of a source whole, now that each of its planes was tried."""
         if work.has_stores and work.any_done:
             task = FinishTask(work.targets, work.planes)
-            self.came_up.append(Job(finish, task, partial(self._ended, work)))
+            self.came_up.append(Job.call(finish, task, partial(self._ended, work)))
         else:
             self._ended(work, None)
 

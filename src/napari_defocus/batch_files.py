@@ -68,7 +68,7 @@ class BatchFolder:
             If something is there that no batch made, or a batch that was made with other
             settings, and `force` is not set.
         """
-        before = _read(self.plan)
+        before = read_note(self.plan)
         if before is None:
             self._check_unused(force)
         elif before != made_with and not force:
@@ -82,7 +82,7 @@ class BatchFolder:
             except OSError as error:
                 raise UnwritableResult(f"cannot make {folder}: {error.strerror}") from error
         self._remove_left_over()
-        _write(self.plan, made_with)
+        write_note(self.plan, made_with)
 
     def _check_unused(self, force: bool) -> None:
         if self.path.exists() and not self.path.is_dir():
@@ -114,13 +114,13 @@ class SourceNotes:
 
     def begun_with(self) -> Facts | None:
         """Return what the source was, and what it is worked on with; None if it is new."""
-        return _read(self.folder / "source.json")
+        return read_note(self.folder / "source.json")
 
     def begin(self, facts: Facts) -> None:
         """Forget what is noted, and note the source."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
-        _write(self.folder / "source.json", facts)
+        write_note(self.folder / "source.json", facts)
 
     def row_path(self, index: tuple[int, ...]) -> Path:
         """Return where the row of a plane is, if it is finished."""
@@ -128,15 +128,15 @@ class SourceNotes:
 
     def row(self, index: tuple[int, ...]) -> Row | None:
         """Return the row of a finished plane."""
-        return _read(self.row_path(index))
+        return read_note(self.row_path(index))
 
     def finish(self, rows: Sequence[Row]) -> None:
         """Note that all results are in their places, and the rows of all planes."""
-        _write(self.folder / _FINISHED, {"rows": rows})
+        write_note(self.folder / _FINISHED, {"rows": rows})
 
     def finished(self) -> list[Row] | None:
         """Return the rows of all planes, if the results are in their places."""
-        noted = _read(self.folder / _FINISHED)
+        noted = read_note(self.folder / _FINISHED)
         return None if noted is None else list(noted["rows"])
 
     def resume(self) -> None:
@@ -148,12 +148,8 @@ class SourceNotes:
         return self.folder / f"{kind}.ome.zarr"
 
 
-def write_row(path: Path, row: Row) -> None:
-    """Note that a plane is finished."""
-    _write(path, row)
-
-
-def _read(path: Path) -> Facts | None:
+def read_note(path: Path) -> Facts | None:
+    """Return what is noted in a file; None if there is none."""
     try:
         found: Facts = json.loads(path.read_text("utf-8"))
     except (FileNotFoundError, NotADirectoryError):
@@ -163,7 +159,8 @@ def _read(path: Path) -> Facts | None:
     return found
 
 
-def _write(path: Path, facts: Mapping[str, Any]) -> None:
+def write_note(path: Path, facts: Mapping[str, Any]) -> None:
+    """Note something, whole or not at all."""
     content = json.dumps(facts, ensure_ascii=False, indent=1)
     write_results({path: f"{content}\n".encode()}, force=True)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import napari_defocus
-from napari_defocus.batch_files import Facts, write_row
+from napari_defocus.batch_files import Facts, write_note
 from napari_defocus.batch_table import DONE, FAILED, Row, count_pixels
 from napari_defocus.files import write_results
 from napari_defocus.measurement import Measurement, measure_map, used
@@ -184,7 +184,7 @@ def measure_plane(task: PlaneTask) -> Row:
         _write(task, made, found, picture)
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), wanted)
         row |= task.results
-        write_row(task.row_path, row)
+        write_note(task.row_path, row)
     except Exception as error:
         return failed(task.known, reason(error))
     return row

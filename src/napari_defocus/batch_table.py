@@ -73,6 +73,27 @@ class PixelCounts:
             self.sure + other.sure,
         )
 
+    @classmethod
+    def none(cls) -> PixelCounts:
+        """Return the counts of no pixels: what can be added to any."""
+        zero = np.zeros(1, np.int64)
+        return cls(zero, zero, 0, 0)
+
+    def note(self) -> dict[str, Any]:
+        """Return the counts as JSON holds them."""
+        return {
+            "radii": self.radii.tolist(),
+            "confidences": self.confidences.tolist(),
+            "in_focus": self.in_focus,
+            "sure": self.sure,
+        }
+
+    @classmethod
+    def of_note(cls, note: Mapping[str, Any]) -> PixelCounts:
+        """Return the counts of a `note`."""
+        radii, confidences = (np.array(note[key], np.int64) for key in ("radii", "confidences"))
+        return cls(radii, confidences, note["in_focus"], note["sure"])
+
     def facts(self) -> Row:
         """Return what a row says of them; None where no pixel counts."""
         count = int(self.radii.sum())

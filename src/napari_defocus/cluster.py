@@ -94,19 +94,31 @@ def in_this_process() -> Iterator[Client]:
 
 @dataclass(frozen=True)
 class Job:
-    """A call of a function with one argument, for a worker.
+    """Work for workers.
 
     Attributes
     ----------
-    function : callable
-    item : object
+    submit : callable
+        Called with a client; returns futures.
     done : callable
-        What to call, here, with the result, or with an exception if there is none.
+        What to call, here, with the result of each, or with the exception if there is none.
+    divided : bool
+        Whether there may be several futures.
     """
 
-    function: Callable[[Any], Any]
-    item: Any
+    submit: Callable[[Client], list[Any]]
     done: Callable[[Any], None]
+    divided: bool = False
+
+    @classmethod
+    def call(cls, function: Callable[[Any], Any], item: Any, done: Callable[[Any], None]) -> Job:
+        """Return a job that calls a function with one argument."""
+        return cls(lambda client: [client.submit(function, item, pure=False)], done)
+
+    @classmethod
+    def graph(cls, tasks: list[Any], done: Callable[[Any], None]) -> Job:
+        """Return a job of delayed tasks, which share what they need."""
+        return cls(lambda client: list(client.compute(tasks)), done, divided=True)
 
 
 def outcomes(
@@ -122,7 +134,7 @@ def outcomes(
     next_job : callable
         Asked for one job after another, but for few ahead; None if there is none for now.
     at_a_time : int, optional
-        How many jobs are with the scheduler; two a thread of the workers without.
+        How many futures there are, but for divided jobs; two a thread of the workers without.
 
     Raises
     ------
@@ -137,10 +149,10 @@ def outcomes(
         while True:
             room = (at_a_time or TASKS_PER_THREAD * threads_of(client)) - len(jobs)
             while room > 0 and (job := next_job()) is not None:
-                future = client.submit(job.function, job.item, pure=False)
-                jobs[future] = job
-                finished.add(future)
-                room -= 1
+                futures = job.submit(client)
+                jobs |= dict.fromkeys(futures, job)
+                finished.update(futures)
+                room -= len(futures)
             if not jobs:
                 return
             future = next(finished)
