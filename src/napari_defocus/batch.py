@@ -43,7 +43,7 @@ from napari_defocus.cluster import Job, in_this_process, outcomes
 from napari_defocus.files import UnwritableResult, write_results
 from napari_defocus.lazy_arrays import need_large_extra
 from napari_defocus.progress import Cancelled, Progress, silent
-from napari_defocus.settings import check_confidence, check_threshold
+from napari_defocus.settings import BLOCK_SIZE, check_block_size, check_confidence, check_threshold
 from napari_defocus.settings_file import Settings
 from napari_defocus.sources import Source, find_sources
 
@@ -79,6 +79,7 @@ def measure_batch(
     min_confidence: float = 0.0,
     intensity_range: tuple[float, float] | None = None,
     file_format: FileFormat = "auto",
+    block_size: int = BLOCK_SIZE,
     force: bool = False,
     client: Client | None = None,
     progress: Progress = silent,
@@ -111,6 +112,9 @@ def measure_batch(
     file_format : {"auto", "tiff", "ome-zarr"}, optional
         Of maps and the like: "auto" is TIFF (and PNG, for masks and restored pictures) for
         single pictures of up to 64 megapixels, and OME-Zarr for others.
+    block_size : int, optional
+        Side, in px, of the parts in which planes of more than 4 megapixels are worked on; their
+        maps are those of the whole plane to 0.02 px. Smaller ones are measured as one.
     force : bool, optional
         Whether pictures that have changed, or were measured with other settings, are measured
         again. They are an error without.
@@ -154,8 +158,10 @@ def measure_batch(
     (2, 0, ['status', 'done', 'done'])
     """
     need_large_extra()
-    wanted = _wanted(
-        settings or Settings(), confidence, mask, restore, min_confidence, intensity_range
+    check_block_size(block_size)
+    wanted = replace(
+        _wanted(settings or Settings(), confidence, mask, restore, min_confidence, intensity_range),
+        block_size=int(block_size),
     )
     if file_format not in get_args(FileFormat):
         raise ValueError(f"file_format is {file_format!r}; it takes one of {get_args(FileFormat)}")
@@ -319,7 +325,7 @@ class _Batch:
         self._work_off(client, self._openings())
         self.counter.started = time.monotonic()
         self.counter.tell()
-        self._work_off(client, self._measurements())
+        self._work_off(client, self._measurements(client))
 
     def write_tables(self) -> BatchReport:
         """Write the table of all planes that were tried."""
@@ -368,7 +374,7 @@ class _Batch:
         share = len(self.opened | self.rows) / len(self.inputs)
         self.counter.progress("Opening the inputs", share)
 
-    def _measurements(self) -> Iterator[Job]:
+    def _measurements(self, client: Client) -> Iterator[Job]:
         """Yield the jobs that measure planes."""
         for each in self.inputs:
             if (source := self.opened.pop(each.name, None)) is None:
@@ -381,9 +387,9 @@ class _Batch:
                 continue
             self.works[each.name] = work
             self.counter.skip(len(work.rows), len(work.rows) * work.plane_px)
-            yield from self._plane_jobs(work, source)
+            yield from self._plane_jobs(client, work, source)
 
-    def _plane_jobs(self, work: SourceWork, source: Source) -> Iterator[Job]:
+    def _plane_jobs(self, client: Client, work: SourceWork, source: Source) -> Iterator[Job]:
         tasks = work.tasks(source)
         if not tasks:
             self._end(work)
@@ -391,13 +397,13 @@ class _Batch:
             if work.plane_px <= LARGEST_AT_ONCE:
                 yield Job.call(measure_plane, task, partial(self._note, work, task))
             else:
-                yield from self._part_jobs(work, task)
+                yield from self._part_jobs(client, work, task)
 
-    def _part_jobs(self, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
+    def _part_jobs(self, client: Client, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
         """Yield the job of a large plane, unless that is finished or cannot be done."""
         try:
             plane = PlaneInParts(task)
-            parts = plane.graph()
+            parts = plane.graph(client)
         except (TypeError, ValueError) as error:
             self._note(work, task, error)
             return

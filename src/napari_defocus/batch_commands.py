@@ -31,6 +31,7 @@ from napari_defocus.commands import (
 )
 from napari_defocus.progress import Progress
 from napari_defocus.settings import (
+    BLOCK_SIZE,
     MapSettings,
     MaskSettings,
     RestorationSettings,
@@ -77,6 +78,14 @@ Format = Annotated[
         "--format",
         help="Of maps and the like. auto: TIFF (masks and restored pictures: PNG) for single "
         "pictures of up to 64 megapixels, OME-Zarr for stacks and larger ones.",
+    ),
+]
+BlockSize = Annotated[
+    int,
+    typer.Option(
+        metavar="PX",
+        help="Side of the parts in which planes of more than 4 megapixels are worked on; memory "
+        "is bounded by it.",
     ),
 ]
 Scheduler = Annotated[
@@ -127,6 +136,7 @@ def batch(
     mask: WithMask = False,
     restore: WithRestored = False,
     file_format: Format = "auto",
+    block_size: BlockSize = BLOCK_SIZE,
     scheduler: Scheduler = None,
     workers: Workers = None,
     psf: PSFText = MapSettings.psf,
@@ -189,6 +199,7 @@ def batch(
                 min_confidence=min_confidence,
                 intensity_range=intensity_range,
                 file_format=file_format,
+                block_size=block_size,
                 force=force,
                 client=client,
                 progress=progress,

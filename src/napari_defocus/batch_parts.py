@@ -18,12 +18,9 @@ from napari_defocus.batch_table import DONE, PixelCounts, Row, count_pixels
 from napari_defocus.ome_zarr_writer import TILE
 
 if TYPE_CHECKING:
-    import dask.array as da
+    from distributed import Client
 
 Region = tuple[slice, slice]
-
-_MAKES = {"map": "blur_map", "confidence": "confidence", "mask": "mask"}
-"""What `LazyCandidates.measure` calls the kinds of results."""
 
 
 class TooLarge(ValueError):
@@ -66,31 +63,32 @@ class PlaneInParts:
 
     def __init__(self, task: PlaneTask) -> None:
         wanted = task.wanted
-        if "in_focus" in wanted.kinds:
-            raise TooLarge("a plane of so many pixels cannot be restored")
         if wanted.settings.map.shot_noise:
             raise TooLarge("how noise grows with the intensity is not found in so many pixels")
-        self.task = task
+        self.task, self._plane = task, task.plane
         self.error: str | None = None
-        self._parts = [self._part(region) for region in _regions(task.plane.shape[:2])]
+        self._parts = [
+            self._part(region) for region in _regions(task.plane.shape[:2], wanted.block_size)
+        ]
         known = [(part, _finished(part)) for part in self._parts]
         self._left = [part for part, note in known if note is None]
         self.notes = [note for _, note in known if note is not None]
 
-    def graph(self) -> list[Any]:
+    def graph(self, client: Client) -> list[Any]:
         """Return a delayed task for each part that is not finished."""
-        from dask import config, delayed
+        from dask import delayed
 
         if not self._left:
             return []
-        # Fused with what uses them, pixels would be read again for each use.
-        with config.set({"optimization.fuse.active": False}):
-            found, noise = self._measured()
-            write = delayed(_write, pure=False)
-            return [
-                write(part, noise, {name: array[part.region] for name, array in found.items()})
-                for part in self._left
-            ]
+        # Else a file that is read whole would be read for each part again.
+        if self._plane.npartitions == 1:
+            self._plane = client.persist(self._plane)
+        found, noise = self._measured(client)
+        write = delayed(_write, pure=False)
+        return [
+            write(part, noise, {name: array[part.region] for name, array in found.items()})
+            for part in self._left
+        ]
 
     def row(self) -> Row:
         """Return the plane's row, now that every part was tried; note it if all are finished."""
@@ -112,37 +110,55 @@ class PlaneInParts:
         note = task.row_path.with_name(name)
         return _PartTask(region, task.index, task.targets, note, task.wanted)
 
-    def _measured(self) -> tuple[dict[str, Any], Any]:
+    def _measured(self, client: Client) -> tuple[dict[str, Any], Any]:
         """Return dask arrays of all that is wanted, and the noise, delayed."""
         from napari_defocus.block_tasks import Wanted as OfParts
         from napari_defocus.blocks import noise_of_plane
 
-        settings, plane = self.task.wanted.settings, _read_once(self.task.plane)
+        wanted, plane = self.task.wanted, self._plane
+        settings = wanted.settings.map
+        given: dict[str, Any] = {
+            "intensity_range": wanted.intensity_range,
+            "linearize": settings.linearize,
+            "block_size": wanted.block_size,
+        }
         lazy: Any = napari_defocus.estimate_candidates(
             plane,
-            psf=settings.map.family(),
-            noise_variance=settings.map.noise_variance,
-            window=settings.map.window,
-            stride=settings.map.stride,
-            mode=settings.map.mode,
-            linearize=settings.map.linearize,
-            intensity_range=self.task.wanted.intensity_range,
+            psf=settings.family(),
+            noise_variance=settings.noise_variance,
+            window=settings.window,
+            stride=settings.stride,
+            mode=settings.mode,
+            **given,
         )
+        restoration = wanted.settings.restoration if "in_focus" in wanted.kinds else None
         asked = OfParts(
-            map_weights=(settings.map.smoothness, settings.map.color_sigma),
+            map_weights=(settings.smoothness, settings.color_sigma),
             confidence=True,
-            mask=settings.mask if "mask" in self.task.wanted.kinds else None,
+            risk=None if restoration is None else restoration.risk,
+            mask=wanted.settings.mask if "mask" in wanted.kinds else None,
         )
-        noise = noise_of_plane(plane, settings.map.noise_variance, lazy.estimation.prepared)
-        return lazy.measure(asked), noise
+        found = lazy.measure(asked)
+        if restoration is not None:
+            # Else each part that is restored would have parts of the map measured again.
+            found = dict(zip(found, client.persist(list(found.values())), strict=True))
+            noise = restoration.noise_variance
+            found["in_focus"] = napari_defocus.restore_all_in_focus(
+                plane,
+                found.pop("cautious"),
+                psf=settings.family(),
+                noise_variance=settings.noise_variance if noise is None else noise,
+                confidence=found["confidence"],
+                tv_weight=restoration.tv_weight,
+                **given,
+            )
+        return found, noise_of_plane(plane, settings.noise_variance, lazy.estimation.prepared)
 
 
-def _regions(shape: tuple[int, ...]) -> Iterator[Region]:
+def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:
     """Yield parts as large as those that are measured, in whole tiles of the stores."""
-    from napari_defocus.settings import BLOCK_SIZE
-
     height, width = shape
-    side = TILE * max(1, BLOCK_SIZE // TILE)
+    side = TILE * max(1, block_size // TILE)
     for top in range(0, height, side):
         for left in range(0, width, side):
             yield slice(top, min(top + side, height)), slice(left, min(left + side, width))
@@ -150,17 +166,6 @@ def _regions(shape: tuple[int, ...]) -> Iterator[Region]:
 
 def _px(region: Region) -> int:
     return math.prod(part.stop - part.start for part in region)
-
-
-def _read_once(plane: da.Array) -> da.Array:
-    """Return a plane that is read whole, and once, if its file has no parts."""
-    if plane.npartitions > 1:
-        return plane
-    import dask.array as da
-    from dask import delayed
-
-    whole = delayed(np.asarray, pure=True)(plane)
-    return da.from_delayed(whole, plane.shape, plane.dtype)
 
 
 def _finished(part: _PartTask) -> PartNote | None:
@@ -172,7 +177,14 @@ def _finished(part: _PartTask) -> PartNote | None:
 
 
 def _has(target: Target, part: _PartTask) -> bool:
-    return target.writer is None or target.writer.has_region((*part.index, *part.region))
+    # Without a writer, the store is whole.
+    return target.writer is None or target.writer.has_region(_place(part, target))
+
+
+def _place(part: _PartTask, target: Target) -> tuple[slice | int, ...]:
+    assert target.writer is not None
+    colors = target.writer.shape[len(part.index) + 2 :]
+    return (*part.index, *part.region, *(slice(0, count) for count in colors))
 
 
 def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartNote:
@@ -186,10 +198,10 @@ def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartN
         max_scale=wanted.settings.map.family().max_scale,
     )
     untrusted = confidence < wanted.min_confidence
-    made = found | {"blur_map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
+    made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in part.targets:
         assert target.writer is not None
-        target.writer.write_region((*part.index, *part.region), made[_MAKES[target.kind]])
+        target.writer.write_region(_place(part, target), made[target.kind])
     variance = noise.given if noise.variance is None else noise.variance
     note = PartNote(_px(part.region), counts, float(variance))
     write_note(part.note, {"counts": counts.note(), "noise_variance": note.noise_variance})

@@ -29,6 +29,7 @@ from napari_defocus.results import (
     picture_png,
     with_opacity,
 )
+from napari_defocus.settings import BLOCK_SIZE
 from napari_defocus.settings_file import Settings
 from napari_defocus.sources import Source, open_source
 
@@ -70,12 +71,15 @@ class Wanted:
     min_confidence : float
         Below it, the map is NaN.
     intensity_range : (float, float) or None
+    block_size : int
+        Side, in px, of the parts of large planes.
     """
 
     settings: Settings
     kinds: tuple[str, ...]
     min_confidence: float
     intensity_range: tuple[float, float] | None
+    block_size: int = BLOCK_SIZE
 
     def facts(self) -> Facts:
         """Return what shapes the results, as JSON holds it."""
@@ -90,6 +94,7 @@ class Wanted:
             **parts,
             "min_confidence": self.min_confidence,
             "intensity_range": self.intensity_range and list(self.intensity_range),
+            "block_size": self.block_size,
         }
 
     def description(self, kind: str) -> Facts:
@@ -104,7 +109,7 @@ class Wanted:
         if kind in ("mask", "in_focus"):
             shaping |= facts["mask" if kind == "mask" else "restoration"]
             shaping["noise_variance"] = facts["map"]["noise_variance"]
-        shaping["intensity_range"] = facts["intensity_range"]
+        shaping |= {name: facts[name] for name in ("intensity_range", "block_size")}
         version = {"software": SOFTWARE, "version": napari_defocus.__version__}
         return about | version | {"settings": shaping}
 
