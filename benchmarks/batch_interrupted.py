@@ -41,11 +41,11 @@ def make_inputs(folder, large):
     tifffile.imwrite(folder / "stack.tif", planes, imagej=True, **scale)
     if large:
         wide = np.tile(np.pad(camera, ((0, 512), (0, 512)), mode="symmetric"), (2, 3))
-        PIL.Image.fromarray(wide).save(folder / "wide.png")
+        PIL.Image.fromarray(wide[:2020, :2020]).save(folder / "wide.png")
 
 
 def started(inputs, output):
-    wanted = ("--confidence", "--mask", "--restore", "--workers", "2")
+    wanted = ("--confidence", "--mask", "--workers", "2")
     command = [sys.executable, "-c", "from napari_defocus.cli import main; main()"]
     return subprocess.Popen(
         [*command, "batch", str(inputs), "-o", str(output), *wanted],
@@ -63,12 +63,12 @@ def workers_of(process):
 def disturb(process, chance, longest):
     """Let a run be for a while, end a worker in one of two runs, and then the run itself."""
     what = []
-    time.sleep(chance.uniform(1.5, longest))
+    time.sleep(chance.uniform(2.0, longest))
     workers = workers_of(process)
     if workers and chance.random() < 0.5:
         chance.choice(workers).kill()
         what.append("killed a worker")
-        time.sleep(chance.uniform(0.0, longest))
+        time.sleep(chance.uniform(0.5, longest))
         workers = workers_of(process)
     how = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGINT))
     process.send_signal(how)
@@ -90,7 +90,12 @@ def contents(folder):
 
 
 def finished_planes(folder):
-    return len(list(folder.glob(".batch/sources/*/plane*.json")))
+    return len(rows_of(folder))
+
+
+def rows_of(folder):
+    notes = folder.glob(".batch/sources/*/plane*.json")
+    return [note for note in notes if "-at-" not in note.name]
 
 
 def main():
@@ -105,13 +110,19 @@ def main():
         make_inputs(inputs, given.large)
         started(inputs, calm).wait(DEADLINE)
         begun = time.perf_counter()
+        # Kernels are compiled by now.
         started(inputs, Path(scratch, "again")).wait(DEADLINE)
         lasts = time.perf_counter() - begun
         print(f"undisturbed  {lasts:.0f} s, {finished_planes(calm)} planes")
         for _ in range(given.kills):
+            if finished_planes(disturbed) == finished_planes(calm):
+                break
             process = started(inputs, disturbed)
             what = disturb(process, chance, 0.4 * lasts)
-            print(f"{what}; {finished_planes(disturbed)} planes are finished", flush=True)
+            parts = len(list(disturbed.rglob("plane*-at-*.json")))
+            more = f" and {parts} parts" if parts else ""
+            done = finished_planes(disturbed)
+            print(f"{what}; {done} planes{more} are finished", flush=True)
         process = started(inputs, disturbed)
         process.wait(DEADLINE)
         print(f"the last run ends with exit code {process.returncode}")

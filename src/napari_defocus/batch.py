@@ -28,7 +28,6 @@ from napari_defocus.batch_planes import (
     reason,
 )
 from napari_defocus.batch_sources import (
-    LARGEST_AT_ONCE,
     BatchInput,
     FileFormat,
     SourceWork,
@@ -394,10 +393,10 @@ class _Batch:
         if not tasks:
             self._end(work)
         for task in tasks:
-            if work.plane_px <= LARGEST_AT_ONCE:
-                yield Job.call(measure_plane, task, partial(self._note, work, task))
-            else:
+            if work.in_parts:
                 yield from self._part_jobs(client, work, task)
+            else:
+                yield Job.call(measure_plane, task, partial(self._note, work, task))
 
     def _part_jobs(self, client: Client, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
         """Yield the job of a large plane, unless that is finished or cannot be done."""
@@ -429,7 +428,7 @@ class _Batch:
     def _note(self, work: SourceWork, task: PlaneTask, result: Row | BaseException) -> None:
         row = result if isinstance(result, dict) else failed(task.known, reason(result))
         work.rows[task.index] = row
-        self.counter.count(1, 0 if work.plane_px > LARGEST_AT_ONCE else work.plane_px)
+        self.counter.count(1, 0 if work.in_parts else work.plane_px)
         self.counter.tell()
         if len(work.rows) == len(work.planes):
             self._end(work)

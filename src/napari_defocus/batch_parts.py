@@ -66,6 +66,8 @@ class PlaneInParts:
         if wanted.settings.map.shot_noise:
             raise TooLarge("how noise grows with the intensity is not found in so many pixels")
         self.task, self._plane = task, task.plane
+        # What is dropped here before all is done, workers drop, too.
+        self._kept: dict[str, Any] = {}
         self.error: str | None = None
         self._parts = [
             self._part(region) for region in _regions(task.plane.shape[:2], wanted.block_size)
@@ -142,6 +144,7 @@ class PlaneInParts:
         if restoration is not None:
             # Else each part that is restored would have parts of the map measured again.
             found = dict(zip(found, client.persist(list(found.values())), strict=True))
+            self._kept = found.copy()
             noise = restoration.noise_variance
             found["in_focus"] = napari_defocus.restore_all_in_focus(
                 plane,

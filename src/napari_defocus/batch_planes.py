@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -342,9 +343,7 @@ def _finish_store(target: Target, planes: tuple[Index, ...]) -> None:
     writer = target.writer
     if writer is not None and writer.part.exists():
         for index in planes:
-            region = _region(writer, index)
-            if not writer.has_region(region):
-                writer.write_region(region, _nothing(writer, len(index)))
+            _fill(writer, index)
         writer.finish()
     store = target.store
     if store is not None:
@@ -354,8 +353,19 @@ def _finish_store(target: Target, planes: tuple[Index, ...]) -> None:
         _convert(store, target.path)
 
 
-def _nothing(writer: OmeZarrWriter, leading: int) -> NDArray[Any]:
-    return np.full(writer.shape[leading:], np.nan if writer.dtype == "float32" else 0, writer.dtype)
+def _fill(writer: OmeZarrWriter, index: Index) -> None:
+    """Write NaN, or 0 into masks, where a plane was not written."""
+    height, width, *colors = writer.shape[len(index) :]
+    nothing = np.nan if writer.dtype == "float32" else 0
+    for top, left in product(range(0, height, writer.tile), range(0, width, writer.tile)):
+        tile = (
+            slice(top, min(top + writer.tile, height)),
+            slice(left, min(left + writer.tile, width)),
+            *(slice(0, count) for count in colors),
+        )
+        if not writer.has_region((*index, *tile)):
+            shape = [part.stop - part.start for part in tile]
+            writer.write_region((*index, *tile), np.full(shape, nothing, writer.dtype))
 
 
 def _convert(store: Path, path: Path) -> None:

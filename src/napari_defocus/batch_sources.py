@@ -148,6 +148,11 @@ class SourceWork:
         return any(target.store is not None for target in self.targets)
 
     @property
+    def in_parts(self) -> bool:
+        """Whether planes are too large for one task."""
+        return self.plane_px > LARGEST_AT_ONCE
+
+    @property
     def any_done(self) -> bool:
         """Whether there is a result of a plane."""
         return any(row["status"] == DONE for row in self.rows.values())
@@ -181,7 +186,8 @@ class SourceWork:
 
     def end(self) -> None:
         """Note that every plane was tried, and that the results are in their places."""
-        if not self.any_done:
+        # Parts of a large plane that are finished are gone on with.
+        if not self.any_done and not self.in_parts:
             for target in self.targets:
                 discard(target)
         rows = self.rows_in_order()

@@ -24,6 +24,9 @@ ANSWERS_WITHIN = 5
 TASKS_PER_THREAD = 2
 """Of the workers, that wait or are worked on at a time: ten thousand jobs wait here."""
 
+_NO_DASHBOARD = "127.0.0.1:0"
+"""Some port that nobody outside reaches: dask listens at one in any case."""
+
 _THREADS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -87,7 +90,9 @@ def in_this_process() -> Iterator[Client]:
 
     with (
         _quiet_logs(),
-        Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as lent,
+        Client(
+            processes=False, n_workers=1, threads_per_worker=1, dashboard_address=_NO_DASHBOARD
+        ) as lent,
     ):
         yield lent
 
@@ -204,7 +209,8 @@ def _own_cluster(workers: int) -> Iterator[Client]:
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
-                    dashboard_address=None,
+                    dashboard_address=_NO_DASHBOARD,
+                    worker_dashboard_address=_NO_DASHBOARD,
                     silence_logs=logging.CRITICAL,
                 )
             )
