@@ -31,6 +31,7 @@ from napari_defocus.batch_sources import (
     BatchInput,
     FileFormat,
     SourceWork,
+    as_named,
     begin,
     compared_inputs,
     finished_rows,
@@ -427,7 +428,7 @@ class _Batch:
 
     def _note(self, work: SourceWork, task: PlaneTask, result: Row | BaseException) -> None:
         row = result if isinstance(result, dict) else failed(task.known, reason(result))
-        work.rows[task.index] = row
+        work.rows[task.index] = as_named(work.input, row)
         self.counter.count(1, 0 if work.in_parts else work.plane_px)
         self.counter.tell()
         if len(work.rows) == len(work.planes):

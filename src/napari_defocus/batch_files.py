@@ -233,7 +233,7 @@ def distinct_names(sources: Iterable[Path]) -> list[str]:
     Examples
     --------
     >>> distinct_names([Path("x/a.png"), Path("x/a.tif"), Path("y/A.png"), Path("b.ome.zarr")])
-    ['a', 'a-tif', 'y-A', 'b']
+    ['a', 'a-tif', 'A-png', 'b']
     """
     taken: set[str] = set()
     names = []

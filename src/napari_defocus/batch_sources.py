@@ -96,14 +96,21 @@ def finished_rows(each: BatchInput, folder: BatchFolder, wanted: Wanted) -> list
     if not all((folder.path / place).exists() for place in places):
         return None
     _remove_stores(notes)
-    return [row | {"source": str(each.given)} for row in rows]
+    return [as_named(each, row) for row in rows]
 
 
 def unopened(each: BatchInput, why: str | BaseException) -> Row:
     """Return the row of a source of which no plane can be measured."""
     told = why if isinstance(why, str) else reason(why)
-    shown = told.replace(str(each.given.absolute()), str(each.given))
-    return failed(source_facts(str(each.given), {}, {}), shown)
+    return as_named(each, failed(source_facts(str(each.given), {}, {}), told))
+
+
+def as_named(each: BatchInput, row: Row) -> Row:
+    """Return a row that calls its source what the user does: workers have absolute paths."""
+    row = row | {"source": str(each.given)}
+    if "error" in row:
+        row["error"] = row["error"].replace(str(each.given.absolute()), str(each.given))
+    return row
 
 
 def plane_size(source: Source) -> tuple[int, int]:
@@ -119,6 +126,7 @@ class SourceWork:
 
     Attributes
     ----------
+    input : BatchInput
     notes : SourceNotes
     known : dict
         What the rows of all planes say.
@@ -132,6 +140,7 @@ class SourceWork:
     wanted : Wanted
     """
 
+    input: BatchInput
     notes: SourceNotes
     known: Row
     planes: tuple[Index, ...]
@@ -230,6 +239,7 @@ def begin(
     height, width = plane_size(source)
     known = source_facts(str(each.given), source.scale, source.units)
     return SourceWork(
+        input=each,
         notes=notes,
         known=known | {"width": width, "height": height},
         planes=planes,
@@ -237,7 +247,7 @@ def begin(
         targets=targets,
         results={t.kind: t.path.relative_to(folder.path).as_posix() for t in targets},
         rows={
-            index: row | {"source": str(each.given)}
+            index: as_named(each, row)
             for index, row in rows.items()
             if all(has_plane(target, index) for target in targets)
         },

@@ -215,11 +215,30 @@ def _own_cluster(workers: int) -> Iterator[Client]:
                 )
             )
             client = started.enter_context(Client(cluster))
+            client.register_plugin(_quiet_libraries())
         try:
             yield client
         finally:
             with _without_interrupts():
                 started.close()
+
+
+def _quiet_libraries() -> Any:
+    """Return what keeps workers from writing to this program's standard error, also new ones."""
+    from distributed import WorkerPlugin
+
+    class QuietLibraries(WorkerPlugin):
+        name = "napari-defocus-quiet-libraries"
+
+        def setup(self, worker: Any) -> None:
+            import logging
+            import warnings
+
+            warnings.simplefilter("ignore")
+            for library in ("tifffile", "PIL"):
+                logging.getLogger(library).addHandler(logging.NullHandler())
+
+    return QuietLibraries()
 
 
 @contextmanager
