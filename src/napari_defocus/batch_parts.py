@@ -66,8 +66,6 @@ class PlaneInParts:
         if wanted.settings.map.shot_noise:
             raise TooLarge("how noise grows with the intensity is not found in so many pixels")
         self.task, self._plane = task, task.plane
-        # What is dropped here before all is done, workers drop, too.
-        self._kept: dict[str, Any] = {}
         self.error: str | None = None
         self._parts = [
             self._part(region) for region in _regions(task.plane.shape[:2], wanted.block_size)
@@ -80,17 +78,17 @@ class PlaneInParts:
         """Return a delayed task for each part that is not finished."""
         from dask import delayed
 
+        from napari_defocus.block_graph import cut_together
+
         if not self._left:
             return []
         # Else a file that is read whole would be read for each part again.
         if self._plane.npartitions == 1:
             self._plane = client.persist(self._plane)
-        found, noise = self._measured(client)
+        found, noise = self._measured()
         write = delayed(_write, pure=False)
-        return [
-            write(part, noise, {name: array[part.region] for name, array in found.items()})
-            for part in self._left
-        ]
+        pieces = cut_together(found, [part.region for part in self._left])
+        return [write(part, noise, piece) for part, piece in zip(self._left, pieces, strict=True)]
 
     def row(self) -> Row:
         """Return the plane's row, now that every part was tried; note it if all are finished."""
@@ -112,7 +110,7 @@ class PlaneInParts:
         note = task.row_path.with_name(name)
         return _PartTask(region, task.index, task.targets, note, task.wanted)
 
-    def _measured(self, client: Client) -> tuple[dict[str, Any], Any]:
+    def _measured(self) -> tuple[dict[str, Any], Any]:
         """Return dask arrays of all that is wanted, and the noise, delayed."""
         from napari_defocus.block_tasks import Wanted as OfParts
         from napari_defocus.blocks import noise_of_plane
@@ -142,9 +140,6 @@ class PlaneInParts:
         )
         found = lazy.measure(asked)
         if restoration is not None:
-            # Else each part that is restored would have parts of the map measured again.
-            found = dict(zip(found, client.persist(list(found.values())), strict=True))
-            self._kept = found.copy()
             noise = restoration.noise_variance
             found["in_focus"] = napari_defocus.restore_all_in_focus(
                 plane,
