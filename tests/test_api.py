@@ -50,6 +50,7 @@ PUBLIC = {
     "focus_curve",
     "label_blur_map",
     "labeling_energy",
+    "measure_batch",
     "measure_regions",
     "psf_from_text",
     "restore_all_in_focus",

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from napari_defocus.batch import measure_batch
     from napari_defocus.calibration import calibrate_psf
     from napari_defocus.candidates import BlurCandidates, estimate_candidates
     from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
@@ -82,6 +83,7 @@ _HOME_OF = {
     "focus_curve": "focus_of_planes",
     "label_blur_map": "labeling",
     "labeling_energy": "labeling",
+    "measure_batch": "batch",
     "measure_regions": "regions",
     "psf_from_text": "psf_text",
     "restore_all_in_focus": "restoration",
@@ -131,6 +133,7 @@ __all__ = [
     "focus_curve",
     "label_blur_map",
     "labeling_energy",
+    "measure_batch",
     "measure_regions",
     "psf_from_text",
     "restore_all_in_focus",

@@ -14,6 +14,7 @@ import typer
 
 import napari_defocus
 from napari_defocus import (
+    batch_commands,
     depth_commands,
     explanation_commands,
     lens_commands,
@@ -434,6 +435,7 @@ def _encoded_masks(
 
 app.command("restore", cls=SettingsCommand)(restoration_commands.restore)
 app.command("refocus", cls=SettingsCommand)(restoration_commands.refocus)
+app.command("batch", cls=SettingsCommand)(batch_commands.batch)
 app.command("depth")(depth_commands.depth)
 app.command("explain")(explanation_commands.explain)
 app.command("sharpest")(stack_commands.sharpest)

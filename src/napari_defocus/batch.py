@@ -1,0 +1,450 @@
+"""Many pictures and stacks: maps and a table of them, on any number of workers, resumable."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import napari_defocus
+from napari_defocus.batch_files import BatchFolder
+from napari_defocus.batch_parts import PartNote, PlaneInParts
+from napari_defocus.batch_planes import (
+    FinishTask,
+    PlaneTask,
+    Wanted,
+    failed,
+    finish,
+    look_at,
+    measure_plane,
+    reason,
+)
+from napari_defocus.batch_sources import (
+    BatchInput,
+    FileFormat,
+    SourceWork,
+    as_named,
+    begin,
+    compared_inputs,
+    finished_rows,
+    plane_size,
+    unopened,
+)
+from napari_defocus.batch_table import FAILED, Row, in_csv, in_json_lines
+from napari_defocus.cluster import Job, in_this_process, outcomes
+from napari_defocus.files import UnwritableResult, write_results
+from napari_defocus.lazy_arrays import need_large_extra
+from napari_defocus.progress import Cancelled, Progress, silent
+from napari_defocus.settings import BLOCK_SIZE, check_block_size, check_confidence, check_threshold
+from napari_defocus.settings_file import Settings
+from napari_defocus.sources import Source, find_sources
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+@dataclass(frozen=True)
+class BatchReport:
+    """What came of a batch.
+
+    Attributes
+    ----------
+    table : Path
+        CSV; the same rows as JSON lines are beside it.
+    planes, failed : int
+        Rows of the table, and those of them that could not be measured.
+    """
+
+    table: Path
+    planes: int
+    failed: int
+
+
+def measure_batch(
+    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    settings: Settings | None = None,
+    confidence: bool = False,
+    mask: bool = False,
+    restore: bool = False,
+    min_confidence: float = 0.0,
+    intensity_range: tuple[float, float] | None = None,
+    file_format: FileFormat = "auto",
+    block_size: int = BLOCK_SIZE,
+    force: bool = False,
+    client: Client | None = None,
+    progress: Progress = silent,
+) -> BatchReport:
+    """Measure many pictures and stacks: a blur map of each plane, and a table with a row a plane.
+
+    It can be ended at any moment, killed too, and called again: what is finished is not done
+    again, and the results are those of an undisturbed run, byte for byte, on however many
+    workers. A picture that cannot be read or measured is a row that says why, and is tried again
+    the next time.
+
+    Parameters
+    ----------
+    inputs : path-like, or iterable of path-like
+        Files, folders and patterns, as `napari_defocus.sources.find_sources` takes them:
+        photographs, TIFF and OME-Zarr, with one plane or many.
+    output : path-like
+        A folder; it is made if its parent is there. It gets `table.csv` and `table.jsonl`, whose
+        rows are in the order of the inputs; a folder `maps`; and, hidden, notes of what is
+        finished.
+    settings : Settings, optional
+        All but `refocus` is used; the threshold of masks says what is in focus in the table, too.
+    confidence, mask, restore : bool, optional
+        Whether to write, beside each map, its confidence, the in-focus mask, and the picture all
+        in focus.
+    min_confidence : float, optional
+        Maps are NaN where the confidence is lower; the table still counts all pixels.
+    intensity_range : (float, float), optional
+        The intensities that mean black and white, of all pictures.
+    file_format : {"auto", "tiff", "ome-zarr"}, optional
+        Of maps and the like: "auto" is TIFF (and PNG, for masks and restored pictures) for
+        single pictures of up to 64 megapixels, and OME-Zarr for others.
+    block_size : int, optional
+        Side, in px, of the parts in which planes of more than 4 megapixels are worked on; their
+        maps are those of the whole plane to 0.02 px. Smaller ones are measured as one.
+    force : bool, optional
+        Whether pictures that have changed, or were measured with other settings, are measured
+        again. They are an error without.
+    client : distributed.Client, optional
+        Whose workers do the work, such as one of `napari_defocus.cluster.dask_client`. They
+        have to find inputs and output under the same paths. Without, the work is done in this
+        process, plane after plane.
+    progress : callable, optional
+        Called with a step's name, which says how much time is left, and the share that is done.
+
+    Returns
+    -------
+    BatchReport
+
+    Raises
+    ------
+    UnreadablePicture
+        If an input names nothing.
+    UnwritableResult
+        If the output cannot be written, holds what no batch made, or a batch that was made with
+        other settings or of other pictures, and `force` is not set; if a result is an input.
+    ValueError
+        If a setting is beyond its range.
+    ConnectionError
+        If a worker has no access to the output, has another version, or the scheduler is gone.
+    ImportError
+        If the extra "large" is not installed.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, numpy as np, PIL.Image
+    >>> from skimage.data import camera
+    >>> from napari_defocus import measure_batch
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name, top in (("sky", 0), ("grass", 400)):
+    ...         picture = PIL.Image.fromarray(camera()[top : top + 96, :96])
+    ...         picture.save(pathlib.Path(folder, f"{name}.png"))
+    ...     report = measure_batch(folder, pathlib.Path(folder, "measured"))
+    ...     rows = report.table.read_text().splitlines()
+    >>> report.planes, report.failed, [row.split(",")[2] for row in rows]
+    (2, 0, ['status', 'done', 'done'])
+    """
+    need_large_extra()
+    check_block_size(block_size)
+    wanted = replace(
+        _wanted(settings or Settings(), confidence, mask, restore, min_confidence, intensity_range),
+        block_size=int(block_size),
+    )
+    if file_format not in get_args(FileFormat):
+        raise ValueError(f"file_format is {file_format!r}; it takes one of {get_args(FileFormat)}")
+    folder = BatchFolder(Path(output).absolute())
+    sources = _sources(inputs, folder)
+    made_with = json.loads(json.dumps(wanted.facts() | {"file_format": file_format}))
+    found = compared_inputs(sources, folder, made_with)
+    if not force:
+        _refuse_changed(found, folder)
+    folder.begin(made_with, force=force)
+    batch = _Batch(folder, wanted, file_format, found, _Counter(progress))
+    with nullcontext(client) if client is not None else in_this_process() as lent:
+        try:
+            _check_workers(lent, folder)
+            batch.run(lent)
+        except (KeyboardInterrupt, Cancelled):
+            batch.write_tables()
+            raise
+    return batch.write_tables()
+
+
+# Before the work.
+
+
+def _wanted(
+    settings: Settings,
+    confidence: bool,
+    mask: bool,
+    restore: bool,
+    min_confidence: float,
+    intensity_range: tuple[float, float] | None,
+) -> Wanted:
+    check_confidence("min_confidence", min_confidence)
+    check_threshold(settings.mask.threshold, settings.map.family().max_scale)
+    if settings.map.psf.lower().endswith(".npz"):
+        # Workers may be in another folder.
+        lens = str(Path(settings.map.psf).absolute())
+        settings = replace(settings, map=replace(settings.map, psf=lens))
+    asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
+    return Wanted(
+        settings=settings,
+        kinds=tuple(kind for kind, is_asked in asked.items() if is_asked),
+        min_confidence=float(min_confidence),
+        intensity_range=intensity_range,
+    )
+
+
+def _sources(
+    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str], folder: BatchFolder
+) -> list[Path]:
+    """Return the sources, without the results of an earlier run that a pattern finds."""
+    given = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
+    named = {Path(one).resolve() for one in given}
+    results, found = folder.results.resolve(), []
+    for source in find_sources(given):
+        place = source.resolve()
+        if results not in place.parents:
+            found.append(source)
+        elif place in named or results in named:
+            raise UnwritableResult(f"cannot write {source}: it is a result and an input")
+    return found
+
+
+def _refuse_changed(inputs: list[BatchInput], folder: BatchFolder) -> None:
+    changes = [each.change for each in inputs if each.change]
+    if changes:
+        more = f", and so have {len(changes) - 1} others" if len(changes) > 1 else ""
+        raise UnwritableResult(
+            f"cannot go on with {folder.path}: inputs have changed ({changes[0]}{more}); "
+            "give another folder, or force to measure them again"
+        )
+
+
+def _check_workers(client: Client, folder: BatchFolder) -> None:
+    """Raise ConnectionError if a worker could not take part."""
+    answers = client.run(
+        _objection, str(folder.plan), napari_defocus.__version__, on_error="return"
+    )
+    for worker, objection in sorted(answers.items()):
+        if objection is not None:
+            told = objection if isinstance(objection, str) else reason(objection)
+            raise ConnectionError(f"the dask worker {worker} cannot take part: {told}")
+
+
+def _objection(plan: str, version: str) -> str | None:
+    """Return why this worker cannot take part in a batch, if it cannot."""
+    if version != napari_defocus.__version__:
+        return f"it has napari-defocus {napari_defocus.__version__}, and {version} is at work"
+    path = Path(plan)
+    if not path.is_file():
+        return f"it does not see {path}; workers need inputs and output under the same paths"
+    if not os.access(path.parent, os.W_OK):
+        return f"it may not write into {path.parent.parent}"
+    return None
+
+
+# The work.
+
+
+@dataclass
+class _Counter:
+    """How far a batch is, and for how long it will go on, by px measured since it was started."""
+
+    progress: Progress
+    planes: int = 0
+    planes_done: int = 0
+    px: int = 0
+    px_done: int = 0
+    px_before: int = 0
+    started: float = field(default_factory=time.monotonic)
+
+    def expect(self, planes: int, px: int) -> None:
+        self.planes, self.px = self.planes + planes, self.px + px
+
+    def skip(self, planes: int, px: int) -> None:
+        """Count what an earlier run has finished."""
+        self.px_before += px
+        self.count(planes, px)
+
+    def count(self, planes: int, px: int) -> None:
+        self.planes_done, self.px_done = self.planes_done + planes, self.px_done + px
+
+    def tell(self) -> None:
+        measured, left = self.px_done - self.px_before, self.px - self.px_done
+        text = f"{self.planes_done} of {self.planes} planes"
+        if measured and left:
+            text += f", {duration((time.monotonic() - self.started) * left / measured)} left"
+        self.progress(text, self.px_done / self.px if self.px else 1.0)
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that people would say it in, rounded up.
+
+    Examples
+    --------
+    >>> duration(9.2), duration(200), duration(9000)
+    ('10 s', '4 min', '2 h 30 min')
+    """
+    if seconds <= 60:
+        return f"{math.ceil(seconds)} s"
+    minutes = math.ceil(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+@dataclass
+class _Batch:
+    """A run over all inputs."""
+
+    folder: BatchFolder
+    wanted: Wanted
+    file_format: FileFormat
+    inputs: list[BatchInput]
+    counter: _Counter
+    rows: dict[str, list[Row]] = field(default_factory=dict)
+    works: dict[str, SourceWork] = field(default_factory=dict)
+    opened: dict[str, Source] = field(default_factory=dict)
+    came_up: deque[Job] = field(default_factory=deque)
+
+    def run(self, client: Client) -> None:
+        """Measure what is not finished."""
+        self._work_off(client, self._openings())
+        self.counter.started = time.monotonic()
+        self.counter.tell()
+        self._work_off(client, self._measurements(client))
+
+    def write_tables(self) -> BatchReport:
+        """Write the table of all planes that were tried."""
+        for name, work in self.works.items():
+            self.rows[name] = work.rows_in_order()
+        rows = [row for each in self.inputs for row in self.rows.get(each.name, [])]
+        csv, json_lines = self.folder.tables
+        write_results({csv: in_csv(rows), json_lines: in_json_lines(rows)}, force=True)
+        return BatchReport(csv, len(rows), sum(row["status"] == FAILED for row in rows))
+
+    def _work_off(self, client: Client, jobs: Iterator[Job]) -> None:
+        """Do jobs, and those that come of them; what was at work when a worker died, alone."""
+
+        def next_job() -> Job | None:
+            return self.came_up.popleft() if self.came_up else next(jobs, None)
+
+        suspects = []
+        for job, result in outcomes(client, next_job):
+            if isinstance(result, BaseException) and not job.divided:
+                suspects.append(job)
+            else:
+                job.done(result)
+        jobs = iter(suspects)
+        for job, result in outcomes(client, next_job, at_a_time=1):
+            job.done(result)
+
+    def _openings(self) -> Iterator[Job]:
+        """Yield the jobs that open what is not finished."""
+        for each in self.inputs:
+            rows = finished_rows(each, self.folder, self.wanted)
+            if rows is None:
+                yield Job.call(look_at, each.given.absolute(), partial(self._keep, each))
+                continue
+            self.rows[each.name] = rows
+            px = sum(row["width"] * row["height"] for row in rows)
+            self.counter.expect(len(rows), px)
+            self.counter.skip(len(rows), px)
+
+    def _keep(self, each: BatchInput, result: Source | str | BaseException) -> None:
+        if isinstance(result, Source):
+            self.opened[each.name] = result
+            planes = math.prod(result.plane_shape)
+            self.counter.expect(planes, planes * math.prod(plane_size(result)))
+        else:
+            self.rows[each.name] = [unopened(each, result)]
+        share = len(self.opened | self.rows) / len(self.inputs)
+        self.counter.progress("Opening the inputs", share)
+
+    def _measurements(self, client: Client) -> Iterator[Job]:
+        """Yield the jobs that measure planes."""
+        for each in self.inputs:
+            if (source := self.opened.pop(each.name, None)) is None:
+                continue
+            # What is wrong with one source, such as axes that a format has not, is its own.
+            try:
+                work = begin(each, source, self.folder, self.wanted, self.file_format)
+            except (OSError, TypeError, ValueError) as error:
+                self.rows[each.name] = [unopened(each, error)]
+                continue
+            self.works[each.name] = work
+            self.counter.skip(len(work.rows), len(work.rows) * work.plane_px)
+            yield from self._plane_jobs(client, work, source)
+
+    def _plane_jobs(self, client: Client, work: SourceWork, source: Source) -> Iterator[Job]:
+        tasks = work.tasks(source)
+        if not tasks:
+            self._end(work)
+        for task in tasks:
+            if work.in_parts:
+                yield from self._part_jobs(client, work, task)
+            else:
+                yield Job.call(measure_plane, task, partial(self._note, work, task))
+
+    def _part_jobs(self, client: Client, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
+        """Yield the job of a large plane, unless that is finished or cannot be done."""
+        try:
+            plane = PlaneInParts(task)
+            parts = plane.graph(client)
+        except (TypeError, ValueError) as error:
+            self._note(work, task, error)
+            return
+        self.counter.skip(0, sum(note.px for note in plane.notes))
+        if parts:
+            left = iter(range(len(parts) - 1, -1, -1))
+            yield Job.graph(parts, lambda result: self._note_part(work, plane, next(left), result))
+        else:
+            self._note(work, task, plane.row())
+
+    def _note_part(
+        self, work: SourceWork, plane: PlaneInParts, left: int, result: PartNote | BaseException
+    ) -> None:
+        if isinstance(result, PartNote):
+            plane.notes.append(result)
+            self.counter.count(0, result.px)
+            self.counter.tell()
+        else:
+            plane.error = reason(result)
+        if not left:
+            self._note(work, plane.task, plane.row())
+
+    def _note(self, work: SourceWork, task: PlaneTask, result: Row | BaseException) -> None:
+        row = result if isinstance(result, dict) else failed(task.known, reason(result))
+        work.rows[task.index] = as_named(work.input, row)
+        self.counter.count(1, 0 if work.in_parts else work.plane_px)
+        self.counter.tell()
+        if len(work.rows) == len(work.planes):
+            self._end(work)
+
+    def _end(self, work: SourceWork) -> None:
+        """Make the results of a source whole, now that each of its planes was tried."""
+        if work.has_stores and work.any_done:
+            task = FinishTask(work.targets, work.planes)
+            self.came_up.append(Job.call(finish, task, partial(self._ended, work)))
+        else:
+            self._ended(work, None)
+
+    def _ended(self, work: SourceWork, error: str | BaseException | None) -> None:
+        if error is None:
+            work.end()
+        else:
+            told = error if isinstance(error, str) else reason(error)
+            work.rows = {index: failed(work.known_of(index), told) for index in work.planes}

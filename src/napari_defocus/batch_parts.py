@@ -1,0 +1,206 @@
+"""Planes of a batch that are too large for one task: measured and written part by part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import napari_defocus
+from napari_defocus.batch_files import read_note, write_note
+from napari_defocus.batch_planes import PlaneTask, Target, Wanted, failed
+from napari_defocus.batch_table import DONE, PixelCounts, Row, count_pixels
+from napari_defocus.ome_zarr_writer import TILE
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Region = tuple[slice, slice]
+
+
+class TooLarge(ValueError):
+    """Something is wanted that is not known of planes of this size."""
+
+
+@dataclass(frozen=True)
+class PartNote:
+    """What is noted of a part: that it is finished, and what the plane's row needs of it."""
+
+    px: int
+    counts: PixelCounts
+    noise_variance: float
+
+
+@dataclass(frozen=True)
+class _PartTask:
+    """A part to be written, once it is measured."""
+
+    region: Region
+    index: tuple[int, ...]
+    targets: tuple[Target, ...]
+    note: Path
+    wanted: Wanted
+
+
+class PlaneInParts:
+    """A large plane, of which parts are worked on one by one.
+
+    Parameters
+    ----------
+    task : PlaneTask
+        All of its targets have stores.
+
+    Raises
+    ------
+    TooLarge
+        If something is wanted that is not made of parts.
+    """
+
+    def __init__(self, task: PlaneTask) -> None:
+        wanted = task.wanted
+        if wanted.settings.map.shot_noise:
+            raise TooLarge("how noise grows with the intensity is not found in so many pixels")
+        self.task, self._plane = task, task.plane
+        self.error: str | None = None
+        self._parts = [
+            self._part(region) for region in _regions(task.plane.shape[:2], wanted.block_size)
+        ]
+        known = [(part, _finished(part)) for part in self._parts]
+        self._left = [part for part, note in known if note is None]
+        self.notes = [note for _, note in known if note is not None]
+
+    def graph(self, client: Client) -> list[Any]:
+        """Return a delayed task for each part that is not finished."""
+        from dask import delayed
+
+        from napari_defocus.block_graph import cut_together
+
+        if not self._left:
+            return []
+        # Else a file that is read whole would be read for each part again.
+        if self._plane.npartitions == 1:
+            self._plane = client.persist(self._plane)
+        found, noise = self._measured()
+        write = delayed(_write, pure=False)
+        pieces = cut_together(found, [part.region for part in self._left])
+        return [write(part, noise, piece) for part, piece in zip(self._left, pieces, strict=True)]
+
+    def row(self) -> Row:
+        """Return the plane's row, now that every part was tried; note it if all are finished."""
+        known = self.task.known
+        if self.error is not None:
+            return failed(known, self.error)
+        counts = sum((note.counts for note in self.notes), PixelCounts.none())
+        noise = {"noise_variance": self.notes[0].noise_variance}
+        row = known | {"status": DONE} | counts.facts() | noise
+        row |= self.task.results
+        write_note(self.task.row_path, row)
+        for part in self._parts:
+            part.note.unlink(missing_ok=True)
+        return row
+
+    def _part(self, region: Region) -> _PartTask:
+        task, (rows, columns) = self.task, region
+        name = f"{task.row_path.stem}-at-{rows.start}-{columns.start}.json"
+        note = task.row_path.with_name(name)
+        return _PartTask(region, task.index, task.targets, note, task.wanted)
+
+    def _measured(self) -> tuple[dict[str, Any], Any]:
+        """Return dask arrays of all that is wanted, and the noise, delayed."""
+        from napari_defocus.block_tasks import Wanted as OfParts
+        from napari_defocus.blocks import noise_of_plane
+
+        wanted, plane = self.task.wanted, self._plane
+        settings = wanted.settings.map
+        given: dict[str, Any] = {
+            "intensity_range": wanted.intensity_range,
+            "linearize": settings.linearize,
+            "block_size": wanted.block_size,
+        }
+        lazy: Any = napari_defocus.estimate_candidates(
+            plane,
+            psf=settings.family(),
+            noise_variance=settings.noise_variance,
+            window=settings.window,
+            stride=settings.stride,
+            mode=settings.mode,
+            **given,
+        )
+        restoration = wanted.settings.restoration if "in_focus" in wanted.kinds else None
+        asked = OfParts(
+            map_weights=(settings.smoothness, settings.color_sigma),
+            confidence=True,
+            risk=None if restoration is None else restoration.risk,
+            mask=wanted.settings.mask if "mask" in wanted.kinds else None,
+        )
+        found = lazy.measure(asked)
+        if restoration is not None:
+            noise = restoration.noise_variance
+            found["in_focus"] = napari_defocus.restore_all_in_focus(
+                plane,
+                found.pop("cautious"),
+                psf=settings.family(),
+                noise_variance=settings.noise_variance if noise is None else noise,
+                confidence=found["confidence"],
+                tv_weight=restoration.tv_weight,
+                **given,
+            )
+        return found, noise_of_plane(plane, settings.noise_variance, lazy.estimation.prepared)
+
+
+def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:
+    """Yield parts as large as those that are measured, in whole tiles of the stores."""
+    height, width = shape
+    side = TILE * max(1, block_size // TILE)
+    for top in range(0, height, side):
+        for left in range(0, width, side):
+            yield slice(top, min(top + side, height)), slice(left, min(left + side, width))
+
+
+def _px(region: Region) -> int:
+    return math.prod(part.stop - part.start for part in region)
+
+
+def _finished(part: _PartTask) -> PartNote | None:
+    known = read_note(part.note)
+    if known is None or not all(_has(target, part) for target in part.targets):
+        return None
+    counts = PixelCounts.of_note(known["counts"])
+    return PartNote(_px(part.region), counts, known["noise_variance"])
+
+
+def _has(target: Target, part: _PartTask) -> bool:
+    # Without a writer, the store is whole.
+    return target.writer is None or target.writer.has_region(_place(part, target))
+
+
+def _place(part: _PartTask, target: Target) -> tuple[slice | int, ...]:
+    assert target.writer is not None
+    colors = target.writer.shape[len(part.index) + 2 :]
+    return (*part.index, *part.region, *(slice(0, count) for count in colors))
+
+
+def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartNote:
+    """Write what was found of a part, note that it is finished, and return the note."""
+    wanted, confidence = part.wanted, found["confidence"]
+    counts = count_pixels(
+        found["blur_map"],
+        confidence,
+        found.get("mask"),
+        threshold=wanted.settings.mask.threshold,
+        max_scale=wanted.settings.map.family().max_scale,
+    )
+    untrusted = confidence < wanted.min_confidence
+    made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
+    for target in part.targets:
+        assert target.writer is not None
+        target.writer.write_region(_place(part, target), made[target.kind])
+    variance = noise.given if noise.variance is None else noise.variance
+    note = PartNote(_px(part.region), counts, float(variance))
+    write_note(part.note, {"counts": counts.note(), "noise_variance": note.noise_variance})
+    return note
