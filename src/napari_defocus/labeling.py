@@ -180,9 +180,10 @@ def blur_map_of_scene(
     choosing = within(progress, 0.0, 0.7, step)
     if around is not None:
         around.hold(block_cost, _HOLD * smoothness)
-        labels = minimize_energy_from(around.labels, block_cost, weights, choosing)
-    elif candidates.mode == "paper":
+    if candidates.mode == "paper":
         labels = expand_until_settled(block_cost, weights, choosing)
+    elif around is not None:
+        labels = minimize_energy_from(around.labels, block_cost, weights, choosing)
     else:
         labels = minimize_energy(block_cost, weights, choosing)
     progress("Following the picture's edges", 0.7)
