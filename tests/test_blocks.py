@@ -1,5 +1,7 @@
 """Stacks and large pictures, part by part: the same results, whichever scheduler works on them."""
 
+import pickle
+
 import dask
 import dask.array as da
 import numpy as np
@@ -9,6 +11,7 @@ from skimage.data import camera
 
 from napari_defocus import (
     ShotNoise,
+    blocks,
     cautious_blur_map,
     confidence_map,
     estimate_blur_map,
@@ -20,6 +23,7 @@ from napari_defocus import (
 )
 from napari_defocus.block_tasks import Wanted
 from napari_defocus.blocks import store
+from napari_defocus.lazy_arrays import Carried
 from napari_defocus.ome_zarr import read_ome_zarr
 from napari_defocus.ome_zarr_writer import new_ome_zarr
 from napari_defocus.progress import Cancelled
@@ -284,3 +288,35 @@ def test_stack_is_restored_plane_by_plane(stack):
     colored = np.repeat(stack[:2, :, :, None], 3, axis=3)
     found = restore_all_in_focus(colored, radius, axes="zyxs")
     np.testing.assert_allclose(found[1], restore_all_in_focus(colored[1], radius[1]), atol=1e-6)
+
+
+def test_progress_of_parts_is_one_of_time(picture):
+    seen = []
+    lazy = estimate_candidates(da.from_array(picture[:90]), noise_variance=NOISE, block_size=BLOCK)
+    found = lazy.measure(Wanted(map_weights=(20.0, 0.1), confidence=True))
+    blocks.computed(found, lambda step, done: seen.append(done))
+    assert seen == sorted(seen)
+    assert seen[-1] == 1
+    # Two surveys and two measurements are nearly all of it.
+    steps = sorted(np.diff(seen))
+    np.testing.assert_allclose(steps[-4:], [0.13, 0.13, 0.32, 0.32], atol=0.03)
+
+
+def test_noise_that_was_found_is_used_and_told(stack, picture):
+    lazy = estimate_candidates(da.from_array(stack[:2]), axes="zyx").with_noise()
+    each = [estimate_candidates(plane).noise_variance for plane in stack[:2]]
+    np.testing.assert_allclose(lazy.variances, each)
+    found = lazy.measure(Wanted(map_weights=(20.0, 0.1)))["blur_map"][1].compute()
+    np.testing.assert_array_equal(found, estimate_blur_map(stack[1]))
+    given = estimate_candidates(da.from_array(picture), noise_variance=NOISE, block_size=BLOCK)
+    assert given.with_noise().variances == NOISE
+    parts = estimate_candidates(da.from_array(picture), block_size=BLOCK).with_noise()
+    np.testing.assert_allclose(parts.variances, estimate_candidates(picture).noise_variance)
+
+
+def test_lazy_array_reaches_other_processes_whatever_reads_it(picture):
+    lazy = da.from_array(picture, chunks=100).map_blocks(lambda block: block * 2)
+    with pytest.raises((pickle.PicklingError, AttributeError)):
+        pickle.dumps(lazy)
+    arrived = pickle.loads(pickle.dumps(Carried(lazy), protocol=5)).array
+    np.testing.assert_array_equal(arrived.compute(), 2 * picture)

@@ -216,6 +216,12 @@ def look_at_noise(
 
 
 @task
+def noise_with_variance(pixels: NDArray[Any], how: Estimation, noise: Noise) -> Noise:
+    """Return the noise of a plane that is one part, with its variance."""
+    return Noise(noise.given, noise.of(how.prepared(pixels))[0])
+
+
+@task
 def survey_part(
     pixels: NDArray[Any],
     seeds: NDArray[Any] | None,

@@ -10,8 +10,8 @@ over into each other. A task takes pixels and returns maps, so that memory is bo
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import product
 from operator import itemgetter
 from typing import Any
@@ -32,6 +32,7 @@ from napari_defocus.block_tasks import (
     label_cells,
     look_at_noise,
     measure_part,
+    noise_with_variance,
     survey_part,
     windows_of_part,
 )
@@ -50,6 +51,9 @@ _THREADS = min(4, os.cpu_count() or 1)
 """Of dask's threads: each part has all of numba's, and takes its share of memory."""
 
 _STEP = "Measuring part by part"
+
+_TIMES, _SHORT = {"measured-": 1.0, "surveyed-": 0.4, "noise-": 0.02}, 0.002
+"""How long tasks take: the share that is done is one of time, so that the rest can be told."""
 
 
 _WHOLE = 4_000_000
@@ -77,12 +81,15 @@ class LazyCandidates:
         As given.
     block_size : int
         Side of the parts of a plane, in px.
+    found_noise : mapping of tuple to Noise
+        That of each plane by its index, if it was found before, see `with_noise`.
     """
 
     planes: LazyPlanes
     estimation: Estimation
     noise_variance: float | ShotNoise | None
     block_size: int
+    found_noise: Mapping[Index, Noise] = field(default_factory=dict, repr=False)
 
     @property
     def plane_shape(self) -> Index:
@@ -119,6 +126,29 @@ class LazyCandidates:
         return self.planes.each(
             lambda index: self._measured(index, wanted, None if seeds is None else seeds[index])
         )
+
+    def with_noise(self, progress: Progress = silent) -> LazyCandidates:
+        """Return the same candidates, with the noise of every plane found now, once for all.
+
+        See `variances` for what was found.
+        """
+        asked = {index: self._asked_noise(index) for index in np.ndindex(self.plane_shape)}
+        return replace(self, found_noise=_compute(asked, progress, "Measuring the noise"))
+
+    @property
+    def variances(self) -> NDArray[np.float64]:
+        """Of the noise of each plane, (...), once it was found; means if it grows with light."""
+        found = [self.found_noise[index].variance for index in np.ndindex(self.plane_shape)]
+        return np.array(found, np.float64).reshape(self.plane_shape)
+
+    def _asked_noise(self, index: Index) -> Any:
+        """Return the noise of a plane with its variance, which a small plane finds by itself."""
+        noise = self._noise(index)
+        if isinstance(noise, Noise) and isinstance(noise.given, float | int):
+            return Noise(noise.given, float(noise.given))
+        if not self._cutting.alone:
+            return noise
+        return delayed(noise_with_variance)(self.planes.plane(index), self.estimation, noise)
 
     def results(
         self, image: Any, progress: Progress, *, seeds: Any = None, **asked: Any
@@ -170,6 +200,8 @@ class LazyCandidates:
 
     def _noise(self, index: Index) -> Any:
         """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
+        if index in self.found_noise:
+            return self.found_noise[index]
         if self._cutting.alone:
             return Noise(self.noise_variance)
         plane = self.planes.plane(index)
@@ -279,6 +311,29 @@ def _noise_pieces(shape: tuple[int, int]) -> tuple[list[tuple[slice, slice]], in
     return [(row, column) for row in rows for column in columns], _EVERY
 
 
+def sampled(image: Any) -> NDArray[Any]:
+    """Return pixels of a plane that tell of all of it: the plane, or pieces of a large one.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3 or 4) array-like
+        Of dask, or whatever has a shape and slices.
+
+    Returns
+    -------
+    ndarray
+        Up to 4096 px a side; pieces of 512 px are put together as they lie.
+    """
+    height, width = image.shape[:2]
+    if height * width <= _WHOLE:
+        return np.asarray(image)
+    rows = [
+        [np.asarray(image[row : row + _PIECE, at : at + _PIECE]) for at in _starts(width)]
+        for row in _starts(height)
+    ]
+    return np.concatenate([np.concatenate(row, axis=1) for row in rows])
+
+
 def _starts(length: int) -> list[int]:
     count = min(_PIECES, max(1, length // _PIECE))
     return [int(start) for start in np.linspace(0, max(length - _PIECE, 0), count)]
@@ -338,22 +393,31 @@ def whole_tiles(array: Any, tile: int) -> Iterator[tuple[slice | int, ...]]:
             yield (*index, rows, slice(left, min(left + side, width)))
 
 
-def _compute(tasks: Any, progress: Progress) -> Any:
-    progress(_STEP, 0.0)
-    with _Reports(progress):
+def _compute(tasks: Any, progress: Progress, step: str = _STEP) -> Any:
+    progress(step, 0.0)
+    with _Reports(progress, step):
         (done,) = dask.compute(tasks, num_workers=_THREADS)
-    progress(_STEP, 1.0)
+    progress(step, 1.0)
     return done
 
 
 class _Reports(Callback):
-    """Reports the tasks that dask's own schedulers have done; a cluster's tells nothing."""
+    """Reports how much dask's own schedulers have done; a cluster's tells nothing."""
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        super().__init__(posttask=self._done)
+    def __init__(self, progress: Progress, step: str) -> None:
+        self._progress, self._step = progress, step
+        self._done = self._all = 0.0
+        super().__init__(start_state=self._begin, posttask=self._count)
 
-    def _done(self, key: Any, result: Any, tasks: Any, state: Any, worker: Any) -> None:
-        names = ("ready", "waiting", "running", "finished")
-        ready, waiting, running, finished = (len(state[name]) for name in names)
-        self._progress(_STEP, finished / max(1, ready + waiting + running + finished))
+    def _begin(self, tasks: Any, state: Any) -> None:
+        self._all += sum(map(_time_of, state["dependencies"]))
+
+    def _count(self, key: Any, result: Any, tasks: Any, state: Any, worker: Any) -> None:
+        self._done += _time_of(key)
+        self._progress(self._step, min(1.0, self._done / self._all))
+
+
+def _time_of(key: Any) -> float:
+    """Return about how long a task takes, in parts of what measuring a part takes."""
+    name = key[0] if isinstance(key, tuple) else key
+    return next((time for begin, time in _TIMES.items() if str(name).startswith(begin)), _SHORT)

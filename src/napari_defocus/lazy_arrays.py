@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -84,6 +85,35 @@ def lazy_array(reader: RegionReader, blocks: tuple[int, ...]) -> da.Array:
     return da.from_array(
         _Indexed(reader), chunks=blocks, meta=meta, fancy=False, asarray=False, name=False
     )
+
+
+class Carried:
+    """A lazy array that can be sent to another process, whatever functions read its blocks.
+
+    Parameters
+    ----------
+    array : dask.array.Array or other array
+        `pickle` alone refuses functions without a name, such as those that many readers use.
+
+    Attributes
+    ----------
+    array : array
+    """
+
+    def __init__(self, array: Any) -> None:
+        self.array = array
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the functions by what they do; arrays in memory are not copied."""
+        import cloudpickle  # type: ignore[import-untyped]  # dask needs it, too
+
+        buffers: list[pickle.PickleBuffer] = []
+        pickled = cloudpickle.dumps(self.array, protocol=5, buffer_callback=buffers.append)
+        return _arrived, (pickled, buffers)
+
+
+def _arrived(pickled: bytes, buffers: list[Any]) -> Carried:
+    return Carried(pickle.loads(pickled, buffers=buffers))
 
 
 def block_side(tile: int, size: int) -> int:
