@@ -145,7 +145,7 @@ def test_shape_around_too_many_pixels_is_refused_before_a_mask_of_it_is_made(
     monkeypatch.setattr(layers, "MAX_PIXELS", 1000)
     picture = viewer.add_image(texture)
     shapes = viewer.add_shapes([DIAMOND], shape_type="polygon")
-    with pytest.raises(NotAnalysableError, match="Crop it first"):
+    with pytest.raises(NotAnalysableError, match="Choose a region"):
         region_of(picture, viewer, shapes)
 
 

@@ -58,7 +58,7 @@ class DefocusWidget(DefocusPanel):
         super().__init__(napari_viewer, blur_map=True, mask=True, action="Measure")
 
     def _fields(self) -> list[Widget]:
-        return [self.image, self.region, self.planes]
+        return [self.image, self.region, self.planes, self.keep_in]
 
     def _finish_form(self, fields: list[Widget]) -> None:
         super()._finish_form(fields)

@@ -14,7 +14,10 @@ from napari.utils.transforms import CompositeAffine
 from numpy.typing import ArrayLike, NDArray
 
 MAX_PIXELS = 64_000_000
-"""Larger planes are refused: their spectra would fill an ordinary computer's memory."""
+"""Larger planes are refused by all that needs them as a whole: they would fill the memory."""
+
+LARGEST_IN_MEMORY = 32_000_000
+"""In px: blur maps and masks of larger planes are measured part by part, and kept on the disk."""
 
 
 class NotAnalysableError(ValueError):
@@ -87,11 +90,7 @@ class Plane:
             If the plane has NaN or infinite pixels, or is too large.
         """
         image = self.values()
-        if image.dtype.kind == "f" and not np.isfinite(image).all():
-            raise NotAnalysableError(
-                "it has pixels without a value (NaN or infinite). "
-                "Replace them first, for instance with the median."
-            )
+        _check_values(image)
         return image
 
     def intensity_range(self, image: NDArray[Any]) -> tuple[float, float] | None:
@@ -105,6 +104,23 @@ class Plane:
         if image.dtype.kind == "f" and not self._within_unit_range(image):
             return self.contrast_limits
         return None
+
+    def sampled_range(self) -> tuple[float, float] | None:
+        """Return `intensity_range` of a plane too large to be read: of pieces of it.
+
+        Raises
+        ------
+        NotAnalysableError
+            If there are pixels without a value in them.
+        """
+        from napari_defocus.blocks import sampled
+
+        dtype = np.dtype(self.data.dtype)
+        if dtype.kind != "f":
+            return self.intensity_range(np.empty(0, dtype))
+        sample = sampled(self.data[self.index])
+        _check_values(sample)
+        return self.intensity_range(sample)
 
     def _within_unit_range(self, image: NDArray[Any]) -> bool:
         low, high = self.contrast_limits_range
@@ -180,13 +196,22 @@ class Plane:
         return layer is not None and layer in layers and finest(layer) is self.data
 
 
+def _check_values(image: NDArray[Any]) -> None:
+    if image.dtype.kind == "f" and not np.isfinite(image).all():
+        raise NotAnalysableError(
+            "it has pixels without a value (NaN or infinite). "
+            "Replace them first, for instance with the median."
+        )
+
+
 def check_pixels(shape: tuple[int, int]) -> None:
     """Refuse planes that are too large, see `MAX_PIXELS`."""
     pixels = np.prod(shape)
     if pixels > MAX_PIXELS:
         raise NotAnalysableError(
             f"it has {pixels / 1e6:.0f} million pixels, more than "
-            f"{MAX_PIXELS / 1e6:.0f} million. Crop it first."
+            f"{MAX_PIXELS / 1e6:.0f} million at a time. Choose a region of it, such as the "
+            "visible field."
         )
 
 

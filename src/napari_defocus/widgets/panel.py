@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 from magicgui.widgets import Widget
@@ -17,14 +18,17 @@ from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.analysis import Analysis, Comparison
 from napari_defocus.widgets.estimation import Analysed
 from napari_defocus.widgets.image_panel import ImagePanel
-from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.large_analysis import LargeAnalysis, is_large
+from napari_defocus.widgets.layers import NotAnalysableError, Plane
 from napari_defocus.widgets.lens_comparison import LensComparison
 from napari_defocus.widgets.live import LiveLabels
 from napari_defocus.widgets.planes_field import PlanesField
 from napari_defocus.widgets.preferences import preferred_display, preferred_settings
 from napari_defocus.widgets.result_fields import (
     keep_earlier_field,
+    keep_in_field,
     live_field,
+    place_of,
     seeds_button,
     seeds_field,
 )
@@ -42,7 +46,7 @@ from napari_defocus.widgets.seeds import Seeds, SeedsWatch, add_seeds_layer, sho
 from napari_defocus.widgets.settings_form import SettingsForm
 from napari_defocus.widgets.showing import show_results, showing_results
 from napari_defocus.widgets.shown_labels import ShownLabels
-from napari_defocus.widgets.stack_analysis import StackAnalysis
+from napari_defocus.widgets.stack_analysis import StackAnalysis, may_be_large
 from napari_defocus.widgets.workers import Run
 
 
@@ -66,6 +70,8 @@ class DefocusPanel(ImagePanel):
         The fields below the image.
     planes : PlanesField
         Of a stack, the one that is shown or all.
+    keep_in : magicgui.widgets.FileEdit
+        Where results too large for memory are kept; only shown then.
     seeds : magicgui.widgets.ComboBox
         The labels layer that the mask keeps to, or none.
     seeds_button : magicgui.widgets.PushButton
@@ -85,7 +91,7 @@ class DefocusPanel(ImagePanel):
         self._blur_map = blur_map
         self._mask = mask
         self._shown = ShownLabels()
-        self.planes = PlanesField()
+        self.planes, self.keep_in = PlanesField(), keep_in_field()
         display = preferred_display()
         self._rough: set[Layer] = set()
         self.settings = SettingsForm(
@@ -106,6 +112,7 @@ class DefocusPanel(ImagePanel):
             self.image,
             self.region,
             self.planes,
+            self.keep_in,
             *settings.lens.fields(),
             *self.comparison.fields(),
             *settings.main_fields(),
@@ -132,7 +139,10 @@ class DefocusPanel(ImagePanel):
         self._seeds_watch = SeedsWatch(lambda: QTimer.singleShot(0, lambda: self._on_stroke()))
         self.seeds.changed.connect(lambda layer: self._on_seeds(layer))
         self._live_labels = LiveLabels(self.kept, self._show_live, self.native)
+        for choice in (self.image, self.region, self.planes):
+            choice.changed.connect(lambda _: self._show_keep_in())
         self._choose_active()
+        self._show_keep_in()
 
     def analysis(self) -> Analysis:
         """Return what the form asks for now.
@@ -154,15 +164,48 @@ class DefocusPanel(ImagePanel):
             confidence=self.settings.confidence.value,
         )
 
-    def stack_analysis(self) -> StackAnalysis:
-        """Return what the form asks for of all planes, see `analysis`."""
-        return StackAnalysis(
-            plane=self._shown_plane(),
-            estimation=self.settings.map_settings(),
-            mask=self.settings.mask_settings(),
-            seeds=self.seeds.value if self._mask else None,
-            blur_map=self._blur_map,
-            confidence=self.settings.confidence.value,
+    def stack_analysis(self) -> StackAnalysis | LargeAnalysis:
+        """Return what the form asks for of all planes, or of one too large for memory.
+
+        Raises
+        ------
+        NotAnalysableError, ValueError
+            As `analysis`, and if there is no room for the results.
+        """
+        plane = self._shown_plane()
+        wanted: dict[str, Any] = {
+            "plane": plane,
+            "estimation": self.settings.map_settings(),
+            "mask": self.settings.mask_settings(),
+            "seeds": self._painted_seeds(),
+            "blur_map": self._blur_map,
+            "confidence": self.settings.confidence.value,
+            "place": place_of(self.keep_in),
+        }
+        if is_large(plane):
+            return LargeAnalysis(**wanted, all_planes=self.planes.all_planes)
+        return StackAnalysis(**wanted)
+
+    def _painted_seeds(self) -> Labels | None:
+        return self.seeds.value if self._mask else None
+
+    @property
+    def _is_large(self) -> bool:
+        """Whether the plane that is chosen now is too large for memory."""
+        try:
+            return is_large(self._shown_plane())
+        except NotAnalysableError:
+            return False
+
+    def _show_keep_in(self) -> None:
+        """Ask for a folder only where results are kept on the disk."""
+        try:
+            plane = self._shown_plane()
+        except NotAnalysableError:
+            self.keep_in.visible = False
+            return
+        self.keep_in.visible = is_large(plane) or (
+            self.planes.all_planes and may_be_large(plane, blur_map=self._blur_map, mask=self._mask)
         )
 
     def _chosen_seeds(self, plane: Plane) -> Seeds | None:
@@ -238,7 +281,7 @@ class DefocusPanel(ImagePanel):
         """
         if self._running is not None:
             return self._running
-        if self.planes.all_planes:
+        if self.planes.all_planes or self._is_large:
             return self._run_stack()
         analysis = self._asked_for(self.analysis)
         if analysis is None:
@@ -268,11 +311,11 @@ class DefocusPanel(ImagePanel):
             partial(analysis.run, self.kept),
             lambda results: self._show_stack(results, analysis, keep),
             [analysis.plane],
-            f"Defocus of all planes of {analysis.plane.name}",
+            f"Defocus of {'all planes of ' * self.planes.all_planes}{analysis.plane.name}",
         )
 
     def _show_stack(
-        self, results: Results, analysis: StackAnalysis, keep_earlier: bool
+        self, results: Results, analysis: StackAnalysis | LargeAnalysis, keep_earlier: bool
     ) -> Iterator[Layer]:
         if not self._still_current():
             return
@@ -280,7 +323,7 @@ class DefocusPanel(ImagePanel):
         self._on_min_confidence(self.settings.min_confidence.value)
         self._last_word = self.status.value = results.summary
         analysed = self.kept.analysed.latest(self.image.value)
-        if analysed is not None:
+        if analysed is not None and isinstance(analysis, StackAnalysis):
             # The plane that was shown can follow the sliders.
             self._shown.note(analysed, analysis.of_plane(analysis.plane))
 
@@ -363,7 +406,10 @@ class DefocusPanel(ImagePanel):
         """Return the confidence that is shown of what results are of, if it is."""
         source = results[0][1]["metadata"][METADATA_KEY]["source"]
         layer = layer_of_result(self._viewer.layers, CONFIDENCE, source)
-        return None if layer is None else np.asarray(layer.data)
+        if layer is None:
+            return None
+        # Of a pyramid, the smallest level tells enough, and is read at once.
+        return np.asarray(layer.data[-1] if layer.multiscale else layer.data)
 
     def _on_shown(self) -> None:
         """Tell whoever explains results that there are new ones."""

@@ -1,10 +1,14 @@
 """How results are shown, as fields: defaults are read from Preferences."""
 
-from magicgui.widgets import CheckBox, ComboBox, PushButton
+from pathlib import Path
+
+from magicgui.types import FileDialogMode
+from magicgui.widgets import CheckBox, ComboBox, FileEdit, PushButton
 from napari.components import ViewerModel
 from napari.layers import Labels
 
 from napari_defocus.widgets.preferences import DisplaySettings
+from napari_defocus.widgets.result_stores import UNTIL_CLOSED, Place
 from napari_defocus.widgets.results import made_by_us
 from napari_defocus.widgets.seeds import SEEDS
 
@@ -29,6 +33,28 @@ def keep_earlier_field(display: DisplaySettings) -> CheckBox:
         tooltip="Put the results of a run beside those of earlier ones, with a number in their "
         "names, instead of updating these.",
     )
+
+
+def keep_in_field() -> FileEdit:
+    """Return the choice where results too large for memory are kept; nothing is the usual one."""
+    field = FileEdit(
+        name="keep_in",
+        label="keep in",
+        mode=FileDialogMode.EXISTING_DIRECTORY,
+        nullable=True,
+        value=None,
+        tooltip="This picture is large: it is measured part by part, and its results are kept on "
+        "the disk, as OME-Zarr. Choose a folder for them; without one, they are gone when "
+        "napari is closed.",
+    )
+    field.line_edit.native.setPlaceholderText("until napari is closed")
+    return field
+
+
+def place_of(keep_in: FileEdit) -> Place:
+    """Return where the field says that results are kept."""
+    chosen = str(keep_in.value or "").strip()
+    return Place(Path(chosen)) if chosen not in ("", ".") else UNTIL_CLOSED
 
 
 def seeds_field(viewer: ViewerModel) -> ComboBox:

@@ -13,6 +13,7 @@ from napari.utils.colormaps import DirectLabelColormap
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
+from napari_defocus.axes import is_lazy
 from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.psf import PSFFamily
 from napari_defocus.settings import MapSettings, MaskSettings
@@ -25,6 +26,7 @@ from napari_defocus.widgets.results import (
     METADATA_KEY,
     NOT_TRUSTED,
     PLACEMENT,
+    STORE,
     provenance,
 )
 
@@ -125,6 +127,15 @@ def confidence_layer(
     return LayerDataTuple((plane.expanded(confidence), keywords, "image"))
 
 
+def in_levels(layer: LayerDataTuple, levels: list[Any]) -> LayerDataTuple:
+    """Return a layer with a pyramid of lazy arrays, the largest first, instead of its data."""
+    _, keywords, kind = layer
+    # napari takes one level for none.
+    if len(levels) == 1:
+        return LayerDataTuple((levels[0], keywords, kind))
+    return LayerDataTuple((levels, {**keywords, "multiscale": True}, kind))
+
+
 def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> LayerDataTuple:
     """Return what lies below a confidence as a labels layer: 1 there, 0 elsewhere.
 
@@ -142,8 +153,10 @@ def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> Laye
     LayerDataTuple
     """
     data, made_with, _ = confidence
+    levels = list(data) if made_with.get("multiscale") else [data]
     made = dict(made_with["metadata"][METADATA_KEY])
     made |= {"result": NOT_TRUSTED, "min_confidence": min_confidence}
+    made.pop(STORE, None)
     keywords = {
         "name": f"{made['source']} not trusted",
         "colormap": fixed_colors({1: NOT_TRUSTED_COLOR}),
@@ -151,9 +164,11 @@ def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> Laye
         "metadata": {METADATA_KEY: made},
         **{name: made_with[name] for name in PLACEMENT},
     }
-    return LayerDataTuple(
-        ((np.asarray(data) < min_confidence).astype(np.uint8), keywords, "labels")
-    )
+    covers = [
+        ((level if is_lazy(level) else np.asarray(level)) < min_confidence).astype(np.uint8)
+        for level in levels
+    ]
+    return in_levels(LayerDataTuple((covers[0], keywords, "labels")), covers)
 
 
 def in_focus_layer(

@@ -39,6 +39,9 @@ OUTSIDE = (
 PLANES = "planes"
 """Where a stack's metadata say which of its axes are its planes', and what each one had."""
 
+STORE = "store"
+"""Where the metadata of a result that is kept on the disk say in which folder, and how long."""
+
 AT = "at"
 """Where the metadata of a result say which plane of a stack it is of: a number an axis, or None."""
 

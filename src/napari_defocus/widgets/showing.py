@@ -24,6 +24,7 @@ from napari_defocus.widgets.results import (
     PLACEMENT,
     PLANES,
     RUN,
+    STORE,
     made_by_us,
     newest_first,
     results_of,
@@ -129,7 +130,9 @@ def _showing(
     viewer: ViewerModel, data: Any, keywords: dict[str, Any], kind: str
 ) -> Iterator[Layer]:
     layer = _earlier_result(viewer.layers, keywords)
-    if layer is not None and getattr(layer, "rgb", False) != keywords.get("rgb", False):
+    if layer is not None and _is_of_kept_stack(layer, keywords):
+        layer = None
+    if layer is not None and not _can_hold(layer, keywords):
         viewer.layers.remove(layer)
         layer = None
     if layer is None:
@@ -159,6 +162,22 @@ def _showing(
     yield layer
 
 
+def _can_hold(layer: Layer, keywords: dict[str, Any]) -> bool:
+    """Tell whether a layer can get data of this kind; napari fixes it when it makes the layer."""
+    return all(
+        getattr(layer, kind, False) == keywords.get(kind, False) for kind in ("rgb", "multiscale")
+    )
+
+
+def _is_of_kept_stack(layer: Layer, keywords: dict[str, Any]) -> bool:
+    """Tell whether a layer has a stack on the disk, and these are results of a single plane.
+
+    Nothing is written into a store; the results of one plane do not replace those of all.
+    """
+    kept, made = layer.metadata[METADATA_KEY], keywords["metadata"][METADATA_KEY]
+    return STORE in kept and PLANES in kept and PLANES not in made
+
+
 def _is_mask_on_map(viewer: ViewerModel, layer: Layer) -> bool:
     """Tell whether a layer is a mask whose area would hide a blur map."""
     source = layer.metadata[METADATA_KEY].get("source")
@@ -185,7 +204,7 @@ def _is(now: Any, wanted: Any) -> bool:
 def _is_plane_of(layer: Layer, data: Any, keywords: dict[str, Any]) -> bool:
     """Tell whether a layer holds results of a whole stack, and these are those of one plane."""
     at = keywords["metadata"][METADATA_KEY].get(AT, ())
-    if isinstance(layer, Surface) or PLANES not in layer.metadata[METADATA_KEY]:
+    if not isinstance(layer.data, np.ndarray) or PLANES not in layer.metadata[METADATA_KEY]:
         return False
     same = layer.data.ndim == data.ndim == len(at)
     return same and all(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from typing import Any
 
@@ -12,11 +12,19 @@ from napari.layers import Labels
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.progress import Progress, silent
 from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
 from napari_defocus.widgets.analysis import Analysis
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane
+from napari_defocus.widgets.result_stores import (
+    UNTIL_CLOSED,
+    Place,
+    letters_of,
+    said_to_users,
+    whole_or_gone,
+)
 from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
@@ -27,8 +35,8 @@ from napari_defocus.widgets.results import (
 )
 from napari_defocus.widgets.seeds import seeds_of_plane
 
-MOST_BYTES = 8_000_000_000
-"""Results that fill more are refused."""
+MOST_IN_MEMORY = 1_000_000_000
+"""In bytes: results that fill more are kept on the disk."""
 
 Position = tuple[int, ...]
 """Where a plane is along the axes that are not displayed."""
@@ -53,6 +61,8 @@ class StackAnalysis:
         Whether a blur map is wanted.
     confidence : bool
         Whether the blur map's confidence is wanted too.
+    place : Place
+        Where results are kept that do not fit into memory, see `is_large`.
     """
 
     plane: Plane
@@ -61,18 +71,25 @@ class StackAnalysis:
     seeds: Labels | None = None
     blur_map: bool = True
     confidence: bool = True
+    place: Place = UNTIL_CLOSED
 
     def __post_init__(self) -> None:
         """Refuse, before any work is done, impossible settings, seeds, and too much of all."""
         self.of_plane(self.plane)
-        size = sum(np.dtype(dtype).itemsize for dtype in self._dtypes().values())
-        size *= int(np.prod(self.shape))
-        if size > MOST_BYTES:
-            raise NotAnalysableError(
-                f"the results of its {len(list(self.positions()))} planes would fill "
-                f"{size / 1e9:.0f} GB, more than {MOST_BYTES / 1e9:.0f} GB. Choose a smaller "
-                "region, single planes, or a part of the stack."
-            )
+        if self.is_large:
+            self.place.check_room(self._size)
+            self._letters()
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the results do not fit into memory, and are kept in stores."""
+        return self._size > MOST_IN_MEMORY
+
+    @property
+    def _size(self) -> int:
+        """Return how many bytes the results fill."""
+        sizes = (np.dtype(dtype).itemsize for dtype in self._dtypes().values())
+        return sum(sizes) * int(np.prod(self.shape))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -109,7 +126,18 @@ class StackAnalysis:
         NotAnalysableError
             If no plane can be analysed.
         """
-        found = _Found({name: self._empty(name) for name in self._dtypes()})
+        if not self.is_large:
+            return self._analysed(
+                {name: self._empty(name) for name in self._dtypes()}, kept, progress
+            )
+        writers: dict[str, OmeZarrWriter] = {}
+        with whole_or_gone(writers), said_to_users():
+            for name in self._dtypes():
+                writers[name] = self._new_store(name)
+            return self._analysed(writers, kept, progress)
+
+    def _analysed(self, values: Mapping[str, Any], kept: KeptWork, progress: Progress) -> Results:
+        found = _Found(values)
         positions = list(self.positions())
         for number, position in enumerate(positions):
             plane = self.plane.at(_index_at(self.plane, position))
@@ -121,6 +149,7 @@ class StackAnalysis:
                 layers = self.of_plane(plane).run(memory, reported)
             except ValueError as reason:
                 found.refused[position] = str(reason)
+                found.leave_out(plane)
             else:
                 found.take(layers, plane, position)
         if len(found.refused) == len(positions):
@@ -146,8 +175,24 @@ class StackAnalysis:
         return wanted | ({IN_FOCUS: np.uint8} if self.mask is not None else {})
 
     def _empty(self, result: str) -> NDArray[Any]:
-        filled = np.nan if result == BLUR_MAP else 0
-        return np.full(self.shape, filled, self._dtypes()[result])
+        return np.full(self.shape, _unknown(result), self._dtypes()[result])
+
+    def _letters(self) -> str:
+        sliced = [axis for axis, at in enumerate(self.plane.index) if isinstance(at, int)]
+        return letters_of(self.plane.placement["axis_labels"], sliced, len(self.plane.index))
+
+    def _new_store(self, result: str) -> OmeZarrWriter:
+        settings = asdict(self.estimation)
+        if result == IN_FOCUS and self.mask is not None:
+            settings |= asdict(self.mask)
+        return self.place.new_store(
+            result,
+            self.plane,
+            axes=dict(zip(self._letters(), range(len(self.shape)), strict=True)),
+            shape=self.shape,
+            dtype=self._dtypes()[result],
+            settings=settings,
+        )
 
     def _layers(self, found: _Found) -> list[LayerDataTuple]:
         """Return what was found as layers like those of one plane, lying where the first one is."""
@@ -156,18 +201,16 @@ class StackAnalysis:
             "noise_variance": float(np.median(list(found.noise_variances.values()))),
             PLANES: self._told_of_planes(found),
         }
-        return [
-            LayerDataTuple(
-                (
-                    found.values[result],
-                    keywords
-                    | first.placement
-                    | {"metadata": {METADATA_KEY: keywords["metadata"][METADATA_KEY] | of_all}},
-                    kind,
-                )
-            )
-            for result, (keywords, kind) in found.looks.items()
-        ]
+        layers = []
+        for result, (keywords, kind) in found.looks.items():
+            values = found.values[result]
+            made = keywords["metadata"][METADATA_KEY] | of_all
+            keywords = keywords | first.placement | {"metadata": {METADATA_KEY: made}}
+            layer = LayerDataTuple((values, keywords, kind))
+            if isinstance(values, OmeZarrWriter):
+                layer = self.place.layer(layer, values.finish(), self._letters())
+            layers.append(layer)
+        return layers
 
     def _told_of_planes(self, found: _Found) -> dict[str, Any]:
         sliced = [axis for axis, at in enumerate(self.plane.index) if isinstance(at, int)]
@@ -186,7 +229,15 @@ class StackAnalysis:
         if CONFIDENCE in found.values:
             share = found.share_sure()
             lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
-        return "\n".join([*lines, *found.told_refused()])
+        kept = [self.place.told()] * self.is_large
+        return "\n".join([*lines, *found.told_refused(), *kept])
+
+
+def may_be_large(plane: Plane, *, blur_map: bool, mask: bool) -> bool:
+    """Tell whether results of all planes, a confidence among them, do not fit into memory."""
+    lengths = zip(plane.data.shape, plane.index, strict=False)
+    count = np.prod([length for length, at in lengths if isinstance(at, int)])
+    return bool(count * np.prod(plane.shape) * (8 * blur_map + mask) > MOST_IN_MEMORY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,37 +246,45 @@ class _Found:
 
     Attributes
     ----------
-    values : dict of ndarray
-        The results of the whole stack.
+    values : mapping of str to ndarray or OmeZarrWriter
+        The results of the whole stack, in memory or on the disk.
     looks : dict
         What layers of them look like: the keywords and the type of those of one plane.
     noise_variances : dict
         Of the planes that were analysed.
     refused : dict
         Why the others were not.
+    sure : list of float
+        The share of each analysed plane whose confidence is high.
     """
 
-    values: dict[str, NDArray[Any]]
+    values: Mapping[str, Any]
     looks: dict[str, tuple[dict[str, Any], str]] = field(default_factory=dict)
     noise_variances: dict[Position, float] = field(default_factory=dict)
     refused: dict[Position, str] = field(default_factory=dict)
+    sure: list[float] = field(default_factory=list)
 
     def take(self, layers: list[LayerDataTuple], plane: Plane, position: Position) -> None:
         """Put the results of one plane into their place."""
-        at = tuple(n if isinstance(n, int) else slice(None) for n in plane.index)
+        at = _whole(plane)
         only = tuple(0 if isinstance(n, int) else slice(None) for n in plane.index)
         for data, keywords, kind in layers:
             made = keywords["metadata"][METADATA_KEY]
             self.values[made["result"]][at] = data[only]
             self.looks[made["result"]] = keywords, kind
             self.noise_variances[position] = made["noise_variance"]
+            if made["result"] == CONFIDENCE:
+                self.sure.append(float((data >= CONFIDENT).mean()))
+
+    def leave_out(self, plane: Plane) -> None:
+        """Say of a plane that could not be analysed that nothing is known."""
+        for result, values in self.values.items():
+            if isinstance(values, OmeZarrWriter):
+                values[_whole(plane)] = np.full(plane.shape, _unknown(result), values.dtype)
 
     def share_sure(self) -> float:
         """Return the share of the analysed pixels whose confidence is high."""
-        confidence = self.values[CONFIDENCE]
-        analysed = confidence.size * len(self.noise_variances)
-        analysed //= len(self.noise_variances) + len(self.refused)
-        return float(np.count_nonzero(confidence >= CONFIDENT) / analysed)
+        return float(np.mean(self.sure))
 
     def told_refused(self) -> list[str]:
         """Return a line for every reason why planes were not analysed."""
@@ -236,6 +295,15 @@ class _Found:
             f"Not analysed: plane{'s' * (len(names) != 1)} {', '.join(names)} (from 0): {reason}"
             for reason, names in planes_of.items()
         ]
+
+
+def _unknown(result: str) -> float:
+    return np.nan if result == BLUR_MAP else 0
+
+
+def _whole(plane: Plane) -> tuple[int | slice, ...]:
+    """Return where the results of a plane are among those of all."""
+    return tuple(n if isinstance(n, int) else slice(None) for n in plane.index)
 
 
 def _named(position: Position) -> int | Position:

@@ -1,0 +1,266 @@
+"""Pictures too large for memory: measured part by part, shown from the disk."""
+
+import gc
+from pathlib import Path
+from types import SimpleNamespace
+
+import dask.array as da
+import numpy as np
+import pytest
+from skimage.data import camera
+
+from napari_defocus import Cancelled, simulate_defocus
+from napari_defocus.ome_zarr import read_ome_zarr
+from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.widgets import large_analysis, result_stores, stack_analysis, stored_parts
+from napari_defocus.widgets.analysis import Analysis
+from napari_defocus.widgets.kept import KeptWork
+from napari_defocus.widgets.large_analysis import LargeAnalysis
+from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.result_stores import Place
+from napari_defocus.widgets.results import METADATA_KEY, STORE
+from napari_defocus.widgets.showing import show_results
+from napari_defocus.widgets.stack_analysis import StackAnalysis
+from napari_defocus.widgets.stored_parts import in_words, with_time_left
+
+PLACED = {
+    "scale": (0.5, 0.25),
+    "translate": (3.0, -4.0),
+    "units": ("um", "um"),
+    "axis_labels": ("y", "x"),
+}
+SETTINGS = MapSettings(noise_variance=1e-5)
+
+
+@pytest.fixture(scope="module")
+def picture():
+    sharp = np.hstack([camera()[100:250, :400], camera()[150:300, 100:330]]) / 255
+    radius = np.broadcast_to(np.linspace(0.8, 6, sharp.shape[1]), sharp.shape)
+    return (255 * simulate_defocus(sharp, radius, noise_variance=1e-5, rng=0)).astype(np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def _small_parts(monkeypatch):
+    """Parts of 256 px, and no other process: each would compile, and import, for itself."""
+    monkeypatch.setattr(stored_parts, "BLOCK", 256)
+
+    def here(function, *arguments, progress, **keywords):
+        return function(*arguments, progress=progress, **keywords)
+
+    monkeypatch.setattr(large_analysis, "run_elsewhere", here)
+
+
+def wanted(layer, viewer, **more):
+    settings = {"estimation": SETTINGS, "mask": MaskSettings(), **more}
+    return LargeAnalysis(plane=shown_plane(layer, viewer.dims), **settings)
+
+
+def stores_in(folder):
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+@pytest.fixture(scope="module")
+def in_memory(picture):
+    from napari.components import ViewerModel
+
+    viewer = ViewerModel()
+    layer = viewer.add_image(picture)
+    analysis = Analysis(
+        plane=shown_plane(layer, viewer.dims), estimation=SETTINGS, mask=MaskSettings()
+    )
+    return [data for data, _, _ in analysis.run(KeptWork())]
+
+
+def test_results_are_lazy_lie_on_the_picture_and_are_those_of_the_whole(
+    viewer, picture, in_memory, tmp_path
+):
+    layer = viewer.add_image(da.from_array(picture, chunks=100), name="slide", **PLACED)
+    found = wanted(layer, viewer, place=Place(tmp_path)).run(KeptWork())
+    results = show_results(viewer, found.layers)
+    assert [result.name for result in results] == [
+        "slide blur (px)",
+        "slide confidence",
+        "slide in focus",
+    ]
+    for result, expected, far in zip(results, in_memory, (0.05, 0.02, 0.02), strict=True):
+        assert result.multiscale
+        assert isinstance(result.data[0], da.Array)
+        assert tuple(result.scale) == PLACED["scale"]
+        assert tuple(result.translate) == PLACED["translate"]
+        assert [str(unit) for unit in result.units] == ["micrometer"] * 2
+        assert result.axis_labels == ("y", "x")
+        values = np.asarray(result.data[0])
+        assert values.dtype == expected.dtype
+        assert np.abs(values.astype(float) - expected).mean() < far
+    assert results[0].colorbar.visible
+    assert stores_in(tmp_path) == [
+        "slide blur (px).ome.zarr",
+        "slide confidence.ome.zarr",
+        "slide in focus.ome.zarr",
+    ]
+    kept = read_ome_zarr(tmp_path / "slide blur (px).ome.zarr")
+    assert kept.units == {"y": "micrometer", "x": "micrometer"}
+    assert kept.scale == {"y": 0.5, "x": 0.25}
+    assert kept.attributes["settings"]["noise_variance"] == 1e-5
+    assert f"Kept in {tmp_path}" in found.summary
+
+
+@pytest.fixture
+def quick(method, monkeypatch):
+    """Results at once: what is written into the stores."""
+
+    def measure_into(work, writers, *, progress):
+        image = stored_parts.as_dask(work.image.array, work.axes)
+        np.asarray(image)
+        shape = next(iter(writers.values())).shape
+        progress("Measuring part by part", 0.5)
+        for name, writer in writers.items():
+            for index in np.ndindex(shape[:-2]):
+                writer[(*index, slice(None), slice(None))] = np.ones(shape[-2:])
+            writer.finish()
+            assert name in ("blur_map", "confidence", "mask")
+        return np.full(shape[:-2], 1e-5)
+
+    monkeypatch.setattr(large_analysis, "measure_into", measure_into)
+    return measure_into
+
+
+def test_new_results_take_the_place_of_the_old_ones_whose_files_go(viewer, quick):
+    layer = viewer.add_image(np.zeros((40, 50), np.uint8), name="slide")
+    first = show_results(viewer, wanted(layer, viewer).run(KeptWork()).layers)
+    before = [Path(result.metadata[METADATA_KEY][STORE]["path"]) for result in first]
+    assert all(path.is_dir() for path in before)
+    again = show_results(viewer, wanted(layer, viewer).run(KeptWork()).layers)
+    assert again == first
+    after = [Path(result.metadata[METADATA_KEY][STORE]["path"]) for result in again]
+    gc.collect()
+    assert not any(path.exists() for path in before)
+    assert all(path.is_dir() for path in after)
+    np.testing.assert_array_equal(np.asarray(again[0].data[0]), 1)
+
+
+def test_nothing_in_a_folder_of_the_user_is_replaced_or_removed(viewer, quick, tmp_path):
+    layer = viewer.add_image(np.zeros((40, 50), np.uint8), name="a/b")
+    for _ in range(2):
+        found = wanted(layer, viewer, mask=None, confidence=False, place=Place(tmp_path))
+        show_results(viewer, found.run(KeptWork()).layers)
+    gc.collect()
+    assert stores_in(tmp_path) == ["a-b blur (px) 2.ome.zarr", "a-b blur (px).ome.zarr"]
+
+
+def test_cancelled_work_leaves_nothing(viewer, picture, tmp_path):
+    layer = viewer.add_image(picture)
+
+    def stop(step, done):
+        if done > 0.3:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        wanted(layer, viewer, place=Place(tmp_path)).run(KeptWork(), stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_shapes_and_seeds_of_a_large_picture_count(viewer, picture):
+    layer = viewer.add_image(picture, name="slide")
+    seeds = np.zeros(picture.shape, np.uint8)
+    seeds[60:70, 500:510] = 1
+    inside = np.zeros(picture.shape, bool)
+    inside[:, 300:] = True
+    plane = shown_plane(layer, viewer.dims).part(
+        slice(0, 150), slice(0, 630), inside=inside, region="shapes"
+    )
+    found = LargeAnalysis(
+        plane=plane, estimation=SETTINGS, mask=MaskSettings(), seeds=viewer.add_labels(seeds)
+    ).run(KeptWork())
+    blur_map, confidence, mask = (np.asarray(data[0]) for data, _, _ in found.layers)
+    assert mask[60:70, 500:510].all()
+    assert not mask[~inside].any()
+    assert not confidence[~inside].any()
+    assert blur_map[~inside].all()
+
+
+def test_all_planes_of_a_stack_lie_on_it_whatever_the_order_of_its_axes(viewer, quick, tmp_path):
+    layer = viewer.add_image(
+        np.zeros((40, 3, 50, 2), np.uint8), scale=(1, 5, 2, 3), axis_labels=("y", "t", "x", "z")
+    )
+    viewer.dims.order = (1, 3, 0, 2)
+    found = wanted(layer, viewer, all_planes=True, place=Place(tmp_path)).run(KeptWork())
+    for result in show_results(viewer, found.layers):
+        assert result.data.shape == (40, 3, 50, 2)
+        assert tuple(result.scale) == (1, 5, 2, 3)
+        assert result.metadata[METADATA_KEY]["planes"]["axes"] == [1, 3]
+    stored = read_ome_zarr(tmp_path / f"{layer.name} blur (px).ome.zarr")
+    assert stored.axes == "tzyx"
+    assert stored.levels[0].shape == (3, 2, 40, 50)
+    assert found.summary.startswith("6 planes\n")
+
+
+def test_results_of_a_stack_that_do_not_fit_into_memory_are_kept_on_the_disk(
+    viewer, method, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(stack_analysis, "MOST_IN_MEMORY", 10_000)
+    sweep = np.random.default_rng(0).random((4, 32, 48)).astype(np.float32)
+    sweep[3, 3, 3] = np.nan
+    layer = viewer.add_image(sweep, name="sweep", scale=(5, 1, 2))
+    analysis = StackAnalysis(
+        plane=shown_plane(layer, viewer.dims),
+        estimation=MapSettings(),
+        mask=MaskSettings(),
+        place=Place(tmp_path),
+    )
+    found = analysis.run(KeptWork())
+    blur_map, confidence, mask = show_results(viewer, found.layers)
+    assert isinstance(blur_map.data, da.Array)
+    assert tuple(blur_map.scale) == (5, 1, 2)
+    values = np.asarray(blur_map.data)
+    assert np.isnan(values[3]).all()
+    np.testing.assert_array_equal(values[:3], 2.5)
+    assert not np.asarray(confidence.data[3]).any()
+    assert mask.data.dtype == np.uint8
+    assert "Confidence 0.5 or more on 50%" in found.summary
+    assert "Not analysed: plane 3" in found.summary
+    one = Analysis(plane=analysis.plane, estimation=MapSettings()).run(KeptWork())
+    assert [each.name for each in show_results(viewer, one)] == [
+        "sweep blur (px) 2",
+        "sweep confidence 2",
+    ]
+    np.testing.assert_array_equal(np.asarray(blur_map.data), values)
+
+
+def test_cancelled_stack_leaves_nothing(viewer, method, monkeypatch, tmp_path):
+    monkeypatch.setattr(stack_analysis, "MOST_IN_MEMORY", 10_000)
+    layer = viewer.add_image(np.ones((4, 32, 48), np.float32))
+
+    def stop(step, done):
+        if done > 0.4:
+            raise Cancelled
+
+    analysis = StackAnalysis(
+        plane=shown_plane(layer, viewer.dims), estimation=MapSettings(), place=Place(tmp_path)
+    )
+    with pytest.raises(Cancelled):
+        analysis.run(KeptWork(), stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_without_room_are_refused_before_any_work(viewer, monkeypatch, tmp_path):
+    layer = viewer.add_image(da.zeros((500, 400), chunks=500, dtype=np.uint8))
+    monkeypatch.setattr(result_stores.shutil, "disk_usage", lambda _: SimpleNamespace(free=1e6))
+    with pytest.raises(NotAnalysableError, match=r"has 0.0 GB left\. Choose another"):
+        wanted(layer, viewer, place=Place(tmp_path))
+    with pytest.raises(NotAnalysableError, match=r"there is no folder .*nowhere"):
+        wanted(layer, viewer, place=Place(tmp_path / "nowhere"))
+
+
+def test_time_left_is_told_in_words():
+    seen, now = [], iter([0.0, 1.0, 60.0, 600.0])
+    report = with_time_left(lambda *told: seen.append(told), lambda: next(now))
+    report("Measuring", 0.01)
+    report("Measuring", 0.1)
+    report("Measuring", 0.95)
+    assert seen == [
+        ("Measuring", 0.01),
+        ("Measuring, about 9 min left", 0.1),
+        ("Measuring, less than a minute left", 0.95),
+    ]
+    assert in_words(7260) == "about 2 h 1 min"
