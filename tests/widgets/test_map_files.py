@@ -274,7 +274,7 @@ def test_map_is_saved_by_the_plugin_where_it_is_chosen(tmp_path, plugins, viewer
 
 
 def test_name_that_gets_an_ending_in_the_dialog_overwrites_nothing(tmp_path, plugins, measured):
-    [writer] = MANIFEST.contributions.writers
+    writer = MANIFEST.contributions.writers[0]
     (tmp_path / "photo-blur.tif").write_text("mine")
     with pytest.raises(OSError, match="it exists already"):
         save_layers(str(tmp_path / "photo"), [measured[1]], _writer=writer)

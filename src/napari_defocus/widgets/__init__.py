@@ -17,11 +17,13 @@ _HOME_OF = {
     "InFocusWidget": "in_focus",
     "MapAndMaskWidget": "map_and_mask",
     "ProbeWidget": "probe",
+    "SharpestPlaneWidget": "sharpest_plane",
     "brushes": "samples",
     "dandelion": "samples",
     "map_reader": "map_files",
     "simulated_ramp": "samples",
     "write_maps": "map_files",
+    "write_store": "kept_files",
 }
 
 

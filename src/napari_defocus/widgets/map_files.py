@@ -25,12 +25,14 @@ from napari_defocus.results import (
     values_in_tiff,
 )
 from napari_defocus.settings import MapSettings
+from napari_defocus.widgets.kept_files import NotAMapError, copy_store
 from napari_defocus.widgets.result_layers import COLOR_MAP, CONFIDENCE_COLOR_MAP
 from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
     METADATA_KEY,
     PLACEMENT,
+    STORE,
 )
 
 PATTERNS = (
@@ -51,10 +53,6 @@ ENDING_OF = {BLUR_MAP: "-blur.tif", CONFIDENCE: "-confidence.tif"}
 LayerTuple = tuple[Any, dict[str, Any], str]
 
 
-class NotAMapError(ValueError):
-    """What is to be saved, or a file, is no blur map or confidence; the message says so."""
-
-
 def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False) -> Path:
     """Save a blur map, or its confidence, as a TIFF that says what it is and what made it.
 
@@ -64,9 +62,10 @@ def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False)
     Parameters
     ----------
     layer : napari.layers.Image
-        One of ours: a map of one plane, or of a stack.
+        One of ours: a map of one plane, or of a stack. If it is kept on the disk, as those of
+        large pictures are, its OME-Zarr store is copied, and no part of it is read.
     path : path-like
-        A name without .tif or .tiff gets an ending.
+        A name without .tif or .tiff gets an ending; of what is on the disk, one without .zarr.
     force : bool, optional
         Whether a file that exists is overwritten.
 
@@ -83,6 +82,8 @@ def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False)
         If the file cannot be written, or exists and `force` is not set.
     """
     data = layer.as_layer_data_tuple()
+    if STORE in data[1].get("metadata", {}).get(METADATA_KEY, {}):
+        return copy_store(data, Path(path), force=force)
     target = _named(Path(path), _result_of(data))
     write_results({target: _encoded(data)}, force=force)
     return target
@@ -112,6 +113,8 @@ def write_maps(path: str, layers: Sequence[LayerTuple]) -> list[str]:
     if len(layers) != 1:
         raise NotAMapError("A blur map is saved on its own. Choose its layer only.")
     [layer] = layers
+    if STORE in layer[1].get("metadata", {}).get(METADATA_KEY, {}):
+        return [str(copy_store(layer, Path(path)))]
     target = _named(Path(path), _result_of(layer))
     # The dialog knows nothing of an ending that the name gets here.
     write_results({target: _encoded(layer)}, force=target == Path(path))

@@ -12,12 +12,23 @@ from napari.layers import Image, Layer
 from numpy.typing import NDArray
 
 from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.results import METADATA_KEY, made_by_us
+from napari_defocus.widgets.results import (
+    BLUR_MAP,
+    IN_FOCUS,
+    METADATA_KEY,
+    STORE,
+    made_by_us,
+    results_of,
+)
 
 if TYPE_CHECKING:
     from napari_defocus import PixelExplanation
     from napari_defocus.widgets.estimation import Analysed
 
+_NOT_KEPT = (
+    "This picture was measured part by part, and what led to its map was not kept. Measure a "
+    "region of it, such as the visible field, to have that explained."
+)
 _OUTSIDE = "This place is outside of what was measured."
 
 
@@ -85,6 +96,9 @@ def _known(viewer: ViewerModel, layer: Image | None, kept: KeptWork) -> "Analyse
         raise NothingKnownError("There is no image. Open one and measure it first.")
     known = kept.analysed.latest(_itself(layer))
     if known is None:
+        of_layer = (results_of(viewer.layers, name, layer.name) for name in (BLUR_MAP, IN_FOCUS))
+        if any(STORE in result.metadata[METADATA_KEY] for found in of_layer for result in found):
+            raise NothingKnownError(_NOT_KEPT)
         raise NothingKnownError("Nothing is known here yet: measure the picture first.")
     if not known.picture.plane.is_current(viewer.layers):
         raise NothingKnownError("The picture was changed since it was measured: measure it again.")

@@ -19,6 +19,7 @@ from napari_defocus.regions import RegionTable, measure_focus, measure_regions
 from napari_defocus.widgets.layers import (
     NotAnalysableError,
     Plane,
+    check_pixels,
     finest,
     shown_index,
     shown_plane,
@@ -78,22 +79,25 @@ class WantedRegions:
     ----------
     plane : Plane
     mask_layer : napari.layers.Layer
-    mask : (H, W) ndarray
+    mask : (H, W) array
+        Of numpy, or of dask, read when it is measured.
     maps : dict
-        The blur map and the confidence by their names, None where there is none.
+        The blur map and the confidence by their names, alike; None where there is none.
     """
 
     plane: Plane
     mask_layer: Layer
-    mask: NDArray[Any]
+    mask: Any
     maps: dict[str, Any]
 
     def measured(self, progress: Progress = silent) -> Measured:
         """Return the labels, the table of the regions, and that of the mask."""
         progress("Measuring regions", 0.0)
-        measures = {"blur_map": self.maps[BLUR_MAP], "confidence": self.maps[CONFIDENCE]}
+        mask = np.asarray(self.mask)
+        maps = {name: None if m is None else np.asarray(m) for name, m in self.maps.items()}
+        measures: dict[str, Any] = {"blur_map": maps[BLUR_MAP], "confidence": maps[CONFIDENCE]}
         measures |= _pixels(self.plane)
-        return *measure_regions(self.mask, **measures), measure_focus(self.mask, **measures)
+        return *measure_regions(mask, **measures), measure_focus(mask, **measures)
 
     def show(self, viewer: ViewerModel, measured: Measured) -> Labels:
         """Add what was measured to a viewer, or renew it."""
@@ -121,6 +125,11 @@ def wanted_regions(viewer: ViewerModel, image: Image) -> WantedRegions | None:
     mask_layer, mask = _shown(viewer, plane, IN_FOCUS)
     if mask_layer is None or mask is None:
         show_warning(NO_MASK.format(name=plane.name))
+        return None
+    try:
+        check_pixels(plane.shape)
+    except NotAnalysableError as reason:
+        show_warning(f"Cannot measure the regions of “{image.name}”: {reason}")
         return None
     maps = {name: _shown(viewer, plane, name)[1] for name in (BLUR_MAP, CONFIDENCE)}
     return WantedRegions(plane, mask_layer, mask, maps)
@@ -156,16 +165,14 @@ def regions_layer(
     return LayerDataTuple((plane.expanded(labels), keywords, "labels"))
 
 
-def _shown(
-    viewer: ViewerModel, plane: Plane, result: str
-) -> tuple[Layer | None, NDArray[Any] | None]:
+def _shown(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None, Any]:
     """Return the layer of a result of an image, and its values on the plane; None if missing."""
     layer = layer_of_result(viewer.layers, result, plane.name)
     if layer is None:
         return None, None
     data = finest(layer)
     try:
-        values = np.asarray(data[shown_index(layer, viewer.dims, data.shape)])
+        values = data[shown_index(layer, viewer.dims, data.shape)]
     except NotAnalysableError:
         return layer, None
     return layer, values if values.shape == plane.shape else None

@@ -29,6 +29,9 @@ REFOCUSED = "refocused"
 DEPTH = "depth"
 DEPTH_SURFACE = "depth surface"
 RELIEF = "relief"
+SHARPEST = "sharpest pixels"
+BEST_FOCUS = "best focus"
+FOCUS_CONFIDENCE = "best focus confidence"
 
 OUTSIDE = (
     "outside of the shapes nothing is in focus and the confidence is 0; the map there is an "

@@ -16,9 +16,11 @@ from napari_defocus.widgets.cursor_text import tell_under_cursor
 from napari_defocus.widgets.renaming import rename_with
 from napari_defocus.widgets.results import (
     AT,
+    BEST_FOCUS,
     BLUR_MAP,
     CONFIDENCE,
     DEPTH,
+    FOCUS_CONFIDENCE,
     IN_FOCUS,
     METADATA_KEY,
     PLACEMENT,
@@ -31,7 +33,7 @@ from napari_defocus.widgets.results import (
     run_of,
 )
 
-_WITH_COLOR_BAR = (BLUR_MAP, CONFIDENCE, DEPTH)
+_WITH_COLOR_BAR = (BLUR_MAP, CONFIDENCE, DEPTH, BEST_FOCUS, FOCUS_CONFIDENCE)
 
 OUTLINE = 2
 """How wide the outline of a mask is inside of it, in px; a wider one takes napari long to draw."""

@@ -15,7 +15,7 @@ from napari_defocus.settings import MaskSettings
 from napari_defocus.widgets.map_files import TIFF_ENDINGS, open_map, save_map
 from napari_defocus.widgets.region_table import wanted_regions
 from napari_defocus.widgets.relief import hide_relief, show_made_relief, wanted_relief
-from napari_defocus.widgets.results import BLUR_MAP, layer_of_result
+from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY, STORE, layer_of_result
 from napari_defocus.widgets.script import script_of
 from napari_defocus.widgets.way_back import way_back
 from napari_defocus.widgets.workers import Run
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-PROBE, FOCUS_CURVE, FEATURES = "Probe", "Focus curve", "Features table widget"
+PROBE, FOCUS_CURVE, SHARPEST_PLANE = "Probe", "Focus curve", "Sharpest plane"
+FEATURES = "Features table widget"
 
 _IN_3D, _IN_2D = "Show in 3-D", "Back to 2-D"
 
@@ -42,7 +43,7 @@ class Tools:
     ----------
     native : QWidget
         Probe, 3-D, focus curve; map files and the script.
-    probe, relief, curve, save_map, open_map, script : magicgui.widgets.PushButton
+    probe, relief, curve, sharpest, save_map, open_map, script : magicgui.widgets.PushButton
         Those in `native`.
     regions, load_settings, save_settings : magicgui.widgets.PushButton
         Those that belong elsewhere in the panel.
@@ -65,6 +66,12 @@ class Tools:
             "Focus curve",
             "For stacks that were measured as a whole: how much of each plane is in focus.",
             self.open_focus_curve,
+        )
+        self.sharpest = _button(
+            "Sharpest plane",
+            "For stacks through focus: in which plane each place is in focus, and one picture of "
+            "the sharpest pixels.",
+            self.open_sharpest_plane,
         )
         self.save_map = _button(
             "Save map…", "Save the blur map as a TIFF in px, with what made it.", self.save_blur_map
@@ -91,14 +98,17 @@ class Tools:
             self.save,
         )
         self.native = _grid(
-            [self.probe, self.relief, self.curve, self.script, self.save_map, self.open_map]
+            [
+                *(self.probe, self.relief, self.curve, self.sharpest),
+                *(self.save_map, self.open_map, self.script),
+            ]
         )
 
     def refresh(self) -> None:
         """Let the buttons say what they do now."""
         self.relief.text = _IN_2D if way_back(self._viewer) is not None else _IN_3D
         image = self._panel.image.value
-        self.curve.enabled = image is not None and image.ndim > 2
+        self.curve.enabled = self.sharpest.enabled = image is not None and image.ndim > 2
 
     def open_probe(self) -> None:
         """Open the probe of the chosen image beside the panel."""
@@ -119,6 +129,12 @@ class Tools:
         from napari_defocus.widgets.focus_curve import FocusCurveWidget
 
         self._opened(FOCUS_CURVE, FocusCurveWidget)
+
+    def open_sharpest_plane(self) -> None:
+        """Open the widget that compares the planes of a stack."""
+        from napari_defocus.widgets.sharpest_plane import SharpestPlaneWidget
+
+        self._opened(SHARPEST_PLANE, SharpestPlaneWidget)
 
     def _opened(self, name: str, widget_class: Callable[..., Any]) -> Any:
         """Return a widget of ours in a dock, which may be there already."""
@@ -206,8 +222,12 @@ class Tools:
             show_warning("There is no blur map to save yet. Measure the picture first.")
             return
         if path is None:
-            path = self._asked_to_save(f"{image.name}-blur.tif", "Blur maps (*.tif *.tiff)")
-            # The dialog knows nothing of an ending that the name gets in `save_map`.
+            ending, kind = ".tif", "Blur maps (*.tif *.tiff)"
+            if STORE in layer.metadata[METADATA_KEY]:
+                ending, kind = ".ome.zarr", "Large blur maps (*.zarr)"
+            path = self._asked_to_save(f"{image.name}-blur{ending}", kind)
+            # The dialog knows nothing of an ending that the name gets in `save_map`, and asks
+            # about files only.
             force = path is not None and path.suffix.lower() in TIFF_ENDINGS
         if path is not None:
             self._try(lambda: save_map(layer, path, force=force), lambda file: f"Saved {file.name}")

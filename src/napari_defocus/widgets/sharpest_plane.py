@@ -1,0 +1,137 @@
+"""The widget that finds where each pixel of a stack is in focus."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+from magicgui.widgets import ComboBox
+from napari.components import ViewerModel
+from napari.layers import Image, Layer
+
+from napari_defocus.widgets.best_focus import BestFocus
+from napari_defocus.widgets.image_panel import ImagePanel
+from napari_defocus.widgets.layers import NotAnalysableError
+from napari_defocus.widgets.preferences import preferred_settings
+from napari_defocus.widgets.results import Results
+from napari_defocus.widgets.settings_form import SettingsForm, automatic_field, number_or_none
+from napari_defocus.widgets.showing import showing_results
+from napari_defocus.widgets.workers import Run
+
+
+class SharpestPlaneWidget(ImagePanel):
+    """Find in which plane of a stack each pixel is in focus, and put those pixels together.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer or napari.components.ViewerModel
+
+    Attributes
+    ----------
+    along : magicgui.widgets.ComboBox
+        Along which slider the focus changes; only shown if there are several.
+    px_per_plane : magicgui.widgets.LineEdit
+        By how much the blur grows from plane to plane; empty to find it.
+    settings : SettingsForm
+        Lens, noise and smoothness.
+    """
+
+    def __init__(self, napari_viewer: ViewerModel) -> None:
+        super().__init__(napari_viewer, action="Find the sharpest plane")
+        self.image.tooltip = (
+            "A stack of one scene whose planes are at equal steps of the focus, aligned."
+        )
+        self.along = ComboBox(
+            name="along",
+            label="focus along",
+            choices=self._sliders,
+            tooltip="Along which slider the focus changes; the others stay where they stand.",
+        )
+        self.px_per_plane = automatic_field(
+            "px_per_plane",
+            "blur (px a plane)",
+            None,
+            "By how many px the radius of the blur grows from plane to plane. Leave it empty to "
+            "have it found from the stack.",
+        )
+        self.settings = SettingsForm(blur_map=True, mask=False, last_measured=self._last_measured)
+        settings = self.settings
+        self._finish_form(
+            [
+                self.image,
+                self.region,
+                self.along,
+                self.px_per_plane,
+                *settings.lens.fields(),
+                settings.max_radius,
+                settings.more,
+                *settings.more_fields(),
+            ]
+        )
+        settings.take(preferred_settings().map, preferred_settings().mask)
+        settings.shot_noise.value = False
+        settings.show_needed(estimating=True, lens=True)
+        settings.show_more(False)
+        self.image.changed.connect(lambda _: self._on_image())
+        self._choose_active()
+        self._on_image()
+
+    def _images(self, choice: Any) -> list[Image]:
+        return [layer for layer in super()._images(choice) if layer.ndim > 2]
+
+    def _sliders(self, _: Any) -> list[tuple[str, int]]:
+        """Return the axes of the layer that are not displayed, the last one first."""
+        layer = self.image.value
+        if layer is None:
+            return []
+        first = self._viewer.dims.ndim - layer.ndim
+        shown = {axis - first for axis in self._viewer.dims.displayed}
+        hidden = [axis for axis in range(layer.ndim) if axis not in shown]
+        return [(str(layer.axis_labels[axis]), axis) for axis in reversed(hidden)]
+
+    def _on_image(self) -> None:
+        self.along.reset_choices()
+        self.along.visible = len(self.along.choices) > 1
+
+    def wanted(self) -> BestFocus:
+        """Return what the form asks for now.
+
+        Raises
+        ------
+        NotAnalysableError
+            If the chosen layer shows no plane, or there is nothing to compare.
+        ValueError
+            If a field holds no valid value.
+        """
+        plane = self._shown_plane()
+        self.along.reset_choices()
+        if self.along.value is None:
+            raise NotAnalysableError("it has no planes beside the one that is shown.")
+        return BestFocus(
+            plane=plane,
+            axis=self.along.value,
+            settings=self.settings.map_settings(),
+            px_per_plane=number_or_none(self.px_per_plane.value, "blur a plane", "0.5"),
+        )
+
+    def run(self) -> Run | None:
+        """Start to compare the planes, and return the run; None if it cannot be done.
+
+        The results are in the viewer when the run's `finished` signal comes. While one runs,
+        that one is returned.
+        """
+        if self._running is not None:
+            return self._running
+        wanted = self._asked_for(self.wanted)
+        if wanted is None:
+            return None
+        return self._start(
+            partial(wanted.run, self.kept),
+            self._showing,
+            [wanted.plane],
+            f"Sharpest plane of {wanted.plane.name}",
+        )
+
+    def _showing(self, results: Results) -> Iterator[Layer]:
+        if self._still_current():
+            yield from showing_results(self._viewer, results.layers)
+            self._last_word = self.status.value = results.summary

@@ -1,0 +1,146 @@
+"""The sharpest plane of each pixel, as layers and as a widget."""
+
+import dask.array as da
+import numpy as np
+import pytest
+from skimage.data import camera
+
+from napari_defocus import Cancelled, simulate_defocus
+from napari_defocus.settings import MapSettings
+from napari_defocus.widgets import best_focus
+from napari_defocus.widgets.best_focus import BestFocus
+from napari_defocus.widgets.kept import KeptWork
+from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.results import METADATA_KEY
+from napari_defocus.widgets.sharpest_plane import SharpestPlaneWidget
+from napari_defocus.widgets.showing import show_results
+
+FOCUS = np.broadcast_to(np.linspace(1, 5, 140), (90, 140))
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    picture = camera()[:90, 60:200]
+    planes = [simulate_defocus(picture, abs(z - FOCUS)) for z in range(7)]
+    return (255 * np.clip(planes, 0, 1)).astype(np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def _here(monkeypatch):
+    """No other process: it would import everything for itself."""
+
+    def here(function, *arguments, progress, **keywords):
+        return function(*arguments, progress=progress, **keywords)
+
+    monkeypatch.setattr(best_focus, "run_elsewhere", here)
+
+
+def found_of(viewer, layer, axis, progress=lambda step, done: None):
+    wanted = BestFocus(
+        plane=shown_plane(layer, viewer.dims), axis=axis, settings=MapSettings(), px_per_plane=1.0
+    )
+    return wanted.run(KeptWork(), progress)
+
+
+def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(viewer, sweep):
+    layer = viewer.add_image(
+        sweep,
+        name="sweep",
+        scale=(5, 0.5, 0.25),
+        translate=(1, 2, 3),
+        units=("um", "um", "um"),
+        axis_labels=("z", "y", "x"),
+    )
+    results = found_of(viewer, layer, 0)
+    picture, position, sure = show_results(viewer, results.layers)
+    assert [each.name for each in (picture, position, sure)] == [
+        "sweep sharpest",
+        "sweep best focus (plane)",
+        "sweep best focus confidence",
+    ]
+    assert picture.data.dtype == np.uint8
+    assert np.median(np.abs(position.data - FOCUS)) < 0.3
+    assert tuple(position.contrast_limits) == (0, 6)
+    assert position.colorbar.visible
+    for each in (picture, position, sure):
+        assert each.data.shape == (90, 140)
+        assert tuple(each.scale) == (0.5, 0.25)
+        assert tuple(each.translate) == (2, 3)
+        assert [str(unit) for unit in each.units] == ["micrometer"] * 2
+        assert each.axis_labels == ("y", "x")
+        assert each.metadata[METADATA_KEY]["px_per_plane"] == 1
+    assert "The blur grows by 1.00 px a plane (given)" in results.summary
+    again = show_results(viewer, results.layers)
+    assert again == [picture, position, sure]
+
+
+def test_focus_along_one_of_two_sliders_of_colours_in_any_order(viewer, sweep):
+    movie = np.repeat(sweep.transpose(1, 0, 2)[..., None], 3, axis=-1)
+    movie = np.stack([np.zeros_like(movie), movie], axis=1)
+    layer = viewer.add_image(da.from_array(movie, chunks=64), rgb=True, scale=(1, 2, 3, 4))
+    viewer.dims.order = (1, 2, 0, 3)
+    viewer.dims.set_current_step((1, 2), (1, 4))
+    picture, position, _ = show_results(viewer, found_of(viewer, layer, 2).layers)
+    assert picture.rgb
+    assert picture.data.shape == (90, 1, 1, 140, 3)
+    assert tuple(picture.scale) == (1, 2, 3, 4)
+    assert tuple(picture.translate) == (0, 2, 12, 0)
+    assert np.median(np.abs(position.data[:, 0, 0] - FOCUS)) < 0.3
+
+
+def test_planes_are_read_one_at_a_time_and_no_other_time_point(viewer, sweep):
+    read = []
+
+    def plane(block_info=None):
+        at = tuple(start for start, _ in block_info[None]["array-location"])
+        read.append(at[:2])
+        return sweep[at[1]][None, None]
+
+    chunks = ((1, 1), (1,) * 7, (90,), (140,))
+    data = da.map_blocks(plane, chunks=chunks, dtype=np.uint8, meta=np.empty((0,) * 4, np.uint8))
+    layer = viewer.add_image(data, contrast_limits=(0, 255))
+    read.clear()
+    found_of(viewer, layer, 1)
+    assert {t for t, _ in read} == {int(viewer.dims.point[0])}
+    assert all(read.count((read[0][0], z)) <= 3 for z in range(7))
+
+
+def test_cancel_ends_it(viewer, sweep):
+    layer = viewer.add_image(sweep)
+
+    def stop(step, done):
+        if done > 0.1:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        found_of(viewer, layer, 0, stop)
+
+
+def test_what_is_no_stack_is_refused_in_words(viewer, sweep):
+    layer = viewer.add_image(sweep[:1])
+    with pytest.raises(NotAnalysableError, match="single plane"):
+        found_of(viewer, layer, 0)
+    with pytest.raises(NotAnalysableError, match="slider"):
+        found_of(viewer, layer, 1)
+
+
+@pytest.mark.display
+def test_form_runs_it(viewer, opened, finish, sweep):
+    viewer.add_image(sweep[0], name="photo")
+    viewer.add_image(np.stack([sweep, sweep]), name="movie", axis_labels=("t", "z", "y", "x"))
+    viewer.add_image(sweep, name="sweep", scale=(5, 2, 3), axis_labels=("z", "y", "x"))
+    widget = opened(SharpestPlaneWidget)
+    assert [layer.name for layer in widget.image.choices] == ["movie", "sweep"]
+    assert widget.image.value.name == "sweep"
+    assert len(widget.along.choices) == 1
+    widget.image.value = viewer.layers["movie"]
+    assert widget.along.value == 1
+    widget.image.value = viewer.layers["sweep"]
+    widget.px_per_plane.value = "nonsense"
+    assert widget.run() is None
+    widget.px_per_plane.value = ""
+    finish(widget)
+    assert tuple(viewer.layers["sweep sharpest"].scale) == (2, 3)
+    assert "The blur grows by" in widget.status.value
+    for field in (widget.image, widget.along, widget.px_per_plane):
+        assert len(field.tooltip) > 40
