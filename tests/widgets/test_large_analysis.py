@@ -1,22 +1,37 @@
 """Pictures too large for memory: measured part by part, shown from the disk."""
 
 import gc
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import dask.array as da
 import numpy as np
 import pytest
+import zarr
 from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
 from napari_defocus.ome_zarr import read_ome_zarr
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets import large_analysis, result_stores, stack_analysis, stored_parts
+from napari_defocus.widgets import (
+    large_analysis,
+    layers,
+    result_stores,
+    stack_analysis,
+    stored_parts,
+)
 from napari_defocus.widgets.analysis import Analysis
+from napari_defocus.widgets.cursor_text import text_under_cursor
 from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.large_analysis import LargeAnalysis
+from napari_defocus.widgets.kept_files import NotAMapError, write_store
+from napari_defocus.widgets.large_analysis import LargeAnalysis, is_large
 from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.map_files import save_map
+from napari_defocus.widgets.map_source import source_of_layer
+from napari_defocus.widgets.probing import NothingKnownError, probed
+from napari_defocus.widgets.region_table import add_regions
+from napari_defocus.widgets.result_layers import not_trusted_layer
 from napari_defocus.widgets.result_stores import Place
 from napari_defocus.widgets.results import METADATA_KEY, STORE
 from napari_defocus.widgets.showing import show_results
@@ -264,3 +279,120 @@ def test_time_left_is_told_in_words():
         ("Measuring, less than a minute left", 0.95),
     ]
     assert in_words(7260) == "about 2 h 1 min"
+
+
+@pytest.fixture
+def large(viewer, quick):
+    """Results of a picture, whose map is kept on the disk."""
+    layer = viewer.add_image(np.zeros((600, 700), np.uint8), name="slide", scale=(0.5, 0.5))
+    found = wanted(layer, viewer).run(KeptWork())
+    return layer, *show_results(viewer, found.layers)
+
+
+def test_text_under_the_cursor_reads_no_more_than_a_chunk(viewer, large):
+    viewer.cursor.position = (100, 200)
+    viewer.layers.selection = {large[1]}
+    text_under_cursor(viewer)
+    begun = time.perf_counter()
+    assert text_under_cursor(viewer) == "1.0 px, confidence 1.00, in focus"
+    assert time.perf_counter() - begun < 0.2
+
+
+def test_veil_follows_the_confidence_without_reading_it(viewer, large):
+    _, _, confidence, _ = large
+    for least, share in ((0.5, 0), (1.5, 1)):
+        cover = not_trusted_layer(confidence.as_layer_data_tuple(), least)
+        [veil] = show_results(viewer, [cover])
+        assert isinstance(veil.data[0], da.Array)
+        assert np.asarray(veil.data[0]).mean() == share
+    assert STORE not in veil.metadata[METADATA_KEY]
+
+
+def test_probe_says_that_nothing_was_kept(viewer, large):
+    with pytest.raises(NothingKnownError, match="measured part by part"):
+        probed(viewer, large[0], (10, 10), KeptWork())
+
+
+def test_table_of_regions_is_measured_or_refused_in_words(viewer, large, monkeypatch, messages):
+    regions = add_regions(viewer, large[0])
+    assert regions.data.shape == (600, 700)
+    assert regions.features["area_px"].iloc[1] == 600 * 700
+    monkeypatch.setattr(layers, "MAX_PIXELS", 100_000)
+    assert add_regions(viewer, large[0]) is None
+    assert "Choose a region" in messages()[-1]
+
+
+def test_map_of_a_region_serves_what_is_made_of_the_picture(viewer, large, monkeypatch):
+    layer, blur_map, *_ = large
+    monkeypatch.setattr(layers, "MAX_PIXELS", 10_000)
+    part = shown_plane(layer, viewer.dims).part(slice(20, 90), slice(40, 120), region="shapes")
+    source = source_of_layer(blur_map, part, viewer, "disc")
+    assert source.plane.shape == (70, 80)
+    assert source.confidence.shape == (70, 80)
+    np.testing.assert_array_equal(source.plane.values(), 1)
+    whole = source_of_layer(blur_map, shown_plane(layer, viewer.dims), viewer, "disc")
+    with pytest.raises(NotAnalysableError, match="Choose a region"):
+        whole.plane.values()
+
+
+def test_saving_copies_the_store(viewer, large, tmp_path):
+    _, blur_map, _, mask = large
+    saved = save_map(blur_map, tmp_path / "mine")
+    assert saved.name == "mine.ome.zarr"
+    np.testing.assert_array_equal(np.asarray(read_ome_zarr(saved).levels[0]), 1)
+    with pytest.raises(OSError, match="exists already"):
+        save_map(blur_map, saved)
+    assert save_map(blur_map, saved, force=True) == saved
+    with pytest.raises(NotAMapError, match=r"too large for \.tif.*Save it as map\.ome\.zarr"):
+        save_map(blur_map, tmp_path / "map.tif")
+    assert write_store(str(tmp_path / "mask.zarr"), [mask.as_layer_data_tuple()])
+    with pytest.raises(NotAMapError, match="no large result"):
+        write_store(str(tmp_path / "no.zarr"), [large[0].as_layer_data_tuple()])
+    assert stores_in(tmp_path) == ["mask.zarr", "mine.ome.zarr"]
+
+
+class Counted:
+    """An array that notes what is read of it: of numpy, but for that."""
+
+    def __init__(self, values):
+        self.values, self.shape, self.dtype, self.ndim = values, values.shape, values.dtype, 3
+        self.read = []
+
+    def __getitem__(self, key):
+        self.read.append(key)
+        return self.values[key]
+
+
+@pytest.mark.parametrize("kind", ["dask", "zarr", "multiscale"])
+def test_lazy_layers_are_read_at_the_plane_and_the_part_that_are_analysed(viewer, method, kind):
+    values = np.random.default_rng(0).integers(0, 255, (5, 64, 96), np.uint8)
+    counted = Counted(values)
+    lazy = da.from_array(counted, chunks=(1, 32, 48), meta=np.empty((0,) * 3, np.uint8))
+    smaller = da.zeros((5, 32, 48), dtype=np.uint8)
+    if kind == "zarr":
+        lazy = zarr.array(values, chunks=(1, 32, 48))
+    data = [lazy, smaller] if kind == "multiscale" else lazy
+    layer = viewer.add_image(data, multiscale=kind == "multiscale", contrast_limits=(0, 255))
+    viewer.dims.set_current_step(0, 3)
+    plane = shown_plane(layer, viewer.dims)
+    counted.read.clear()
+    Analysis(plane=plane.part(slice(0, 30), slice(50, 90)), estimation=SETTINGS).run(KeptWork())
+    np.testing.assert_array_equal(method.estimations[0]["image"], values[3, :30, 50:90])
+    if kind != "zarr":
+        assert len(counted.read) == 1
+    found = StackAnalysis(plane=plane, estimation=SETTINGS).run(KeptWork())
+    assert found.layers[0][0].shape == (5, 64, 96)
+    np.testing.assert_array_equal(method.estimations[-1]["image"], values[4])
+    assert len(counted.read) in (0, 1 + 5 * 4)
+
+
+def test_large_lazy_picture_is_not_read_before_it_is_measured(viewer, monkeypatch):
+    monkeypatch.setattr(large_analysis, "LARGEST_IN_MEMORY", 1000)
+    counted = Counted(np.zeros((2, 64, 96), np.uint8))
+    lazy = da.from_array(counted, chunks=(1, 32, 48), meta=np.empty((0,) * 3, np.uint8))
+    layer = viewer.add_image([lazy, lazy[:, ::2, ::2]], contrast_limits=(0, 255))
+    counted.read.clear()
+    plane = shown_plane(layer, viewer.dims)
+    assert is_large(plane)
+    assert wanted(layer, viewer)._work().intensity_range is None
+    assert not counted.read
