@@ -1,6 +1,7 @@
 """Pictures too large for memory: measured part by part, shown from the disk."""
 
 import gc
+import pickle
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import zarr
 from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
+from napari_defocus.lazy_arrays import Carried
 from napari_defocus.ome_zarr import read_ome_zarr
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets import (
@@ -27,6 +29,7 @@ from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.kept_files import NotAMapError, write_store
 from napari_defocus.widgets.large_analysis import LargeAnalysis, is_large
 from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
 from napari_defocus.widgets.map_files import save_map
 from napari_defocus.widgets.map_source import source_of_layer
 from napari_defocus.widgets.probing import NothingKnownError, probed
@@ -349,6 +352,77 @@ def test_saving_copies_the_store(viewer, large, tmp_path):
     with pytest.raises(NotAMapError, match="no large result"):
         write_store(str(tmp_path / "no.zarr"), [large[0].as_layer_data_tuple()])
     assert stores_in(tmp_path) == ["mask.zarr", "mine.ome.zarr"]
+
+
+def test_work_can_be_sent_to_another_process_whatever_reads_the_picture(viewer, picture):
+    lazy = da.from_array(picture, chunks=100).map_blocks(lambda block: block)
+    layer = viewer.add_image(lazy)
+    arrived = pickle.loads(pickle.dumps(wanted(layer, viewer)._work(), protocol=5))
+    np.testing.assert_array_equal(arrived.image.array.compute(), picture)
+    assert arrived.mask == MaskSettings()
+
+
+def test_layer_of_results_can_be_analysed_itself_elsewhere(viewer, large):
+    level = large[1].data[0]
+    arrived = pickle.loads(pickle.dumps(Carried(level), protocol=5)).array
+    np.testing.assert_array_equal(np.asarray(arrived[:5, :5]), 1)
+    del arrived
+    gc.collect()
+    np.testing.assert_array_equal(np.asarray(level[:5, :5]), 1)
+
+
+@pytest.mark.display
+def test_form_asks_where_to_keep_only_what_is_large(
+    viewer, opened, finish, quick, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(large_analysis, "LARGEST_IN_MEMORY", 100_000)
+    monkeypatch.setattr(stack_analysis, "MOST_IN_MEMORY", 100_000)
+    viewer.add_image(np.zeros((20, 30, 40), np.uint8), name="stack")
+    viewer.add_image(np.zeros((600, 700), np.uint8), name="slide", scale=(2, 3))
+    widget = opened(MapAndMaskWidget)
+    widget.show()
+    assert widget.keep_in.visible
+    widget.image.value = viewer.layers["stack"]
+    assert not widget.keep_in.visible
+    widget.planes.value = "all"
+    assert widget.keep_in.visible
+    widget.planes.value = "shown"
+    widget.image.value = viewer.layers["slide"]
+    finish(widget)
+    assert "gone when napari is closed" in widget.status.value
+    assert viewer.layers["slide blur (px)"].multiscale
+    assert viewer.layers["slide not trusted"].multiscale
+    widget.keep_in.value = tmp_path
+    finish(widget)
+    assert f"Kept in {tmp_path}" in widget.status.value
+    assert len(stores_in(tmp_path)) == 3
+    assert [layer.name for layer in viewer.layers][2:] == [
+        "slide blur (px)",
+        "slide confidence",
+        "slide in focus",
+        "slide not trusted",
+    ]
+    before = widget.status.value
+    widget.settings.threshold.value = 3
+    assert widget.status.value != before  # it does not follow by itself, and says so
+    widget.keep_in.value = tmp_path / "nowhere"
+    assert widget.run() is None
+
+
+@pytest.mark.display
+def test_in_memory_and_large_results_take_each_others_place(
+    viewer, opened, finish, quick, texture, monkeypatch
+):
+    layer = viewer.add_image(texture, name="slide")
+    widget = opened(MapAndMaskWidget)
+    finish(widget)
+    assert not viewer.layers["slide blur (px)"].multiscale
+    monkeypatch.setattr(large_analysis, "LARGEST_IN_MEMORY", 1000)
+    finish(widget)
+    assert isinstance(viewer.layers["slide blur (px)"].data, da.Array)
+    monkeypatch.undo()
+    assert layer in viewer.layers
+    assert len(viewer.layers) == 5
 
 
 class Counted:

@@ -13,7 +13,10 @@ from napari_defocus.widgets.samples import ramp
 
 MANIFEST = PluginManifest.from_file(Path(napari_defocus.__file__).with_name("napari.yaml"))
 CONTRIBUTIONS = MANIFEST.contributions
-WITHOUT_QT = ("analysis", "restored", "distances", "map_files", "picker", "region_table")
+WITHOUT_QT = (
+    *("analysis", "restored", "distances", "map_files", "picker", "region_table"),
+    *("large_analysis", "best_focus", "kept_files"),
+)
 
 
 @pytest.fixture

@@ -141,6 +141,7 @@ def test_form_runs_it(viewer, opened, finish, sweep):
     widget.px_per_plane.value = ""
     finish(widget)
     assert tuple(viewer.layers["sweep sharpest"].scale) == (2, 3)
+    assert viewer.layers.selection.active.name == "sweep sharpest"
     assert "The blur grows by" in widget.status.value
     for field in (widget.image, widget.along, widget.px_per_plane):
         assert len(field.tooltip) > 40

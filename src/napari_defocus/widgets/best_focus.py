@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from napari.types import LayerDataTuple
@@ -14,7 +14,6 @@ from napari_defocus.lazy_arrays import Carried
 from napari_defocus.other_process import run_elsewhere
 from napari_defocus.progress import Progress, silent
 from napari_defocus.settings import CONFIDENT, MapSettings
-from napari_defocus.sharpest import SharpestPlane
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import NotAnalysableError, Plane, check_pixels
 from napari_defocus.widgets.results import (
@@ -26,6 +25,9 @@ from napari_defocus.widgets.results import (
     provenance,
 )
 from napari_defocus.widgets.stored_parts import as_dask
+
+if TYPE_CHECKING:
+    from napari_defocus.sharpest import SharpestPlane
 
 COLOR_MAP = "turbo"
 """Positions have no best end, unlike a blur."""

@@ -133,5 +133,10 @@ class SharpestPlaneWidget(ImagePanel):
 
     def _showing(self, results: Results) -> Iterator[Layer]:
         if self._still_current():
-            yield from showing_results(self._viewer, results.layers)
+            layers = []
+            for layer in showing_results(self._viewer, results.layers):
+                layers.append(layer)
+                yield layer
+            # The picture: what lies above it is hidden.
+            self._viewer.layers.selection.active = layers[0]
             self._last_word = self.status.value = results.summary

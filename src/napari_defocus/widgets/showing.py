@@ -245,8 +245,10 @@ def _tell_of_data(layer: Layer) -> None:
     (layer.events.paint if isinstance(layer, Labels) else layer.events.data)(value=None)
 
 
-def _alike(now: NDArray[Any], data: NDArray[Any]) -> bool:
-    return now.shape == data.shape and now.dtype == data.dtype and now.flags.writeable
+def _alike(now: NDArray[Any], data: Any) -> bool:
+    """Tell whether data can be put into an array; what is on the disk stays there."""
+    same = isinstance(data, np.ndarray) and now.shape == data.shape and now.dtype == data.dtype
+    return bool(same and now.flags.writeable)
 
 
 def _earlier_result(layers: LayerList, keywords: dict[str, Any]) -> Layer | None:

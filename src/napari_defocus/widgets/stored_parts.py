@@ -20,7 +20,7 @@ BLOCK = 1024
 """px of a part's side."""
 
 _NOISE_SHARE, _WRITTEN_SHARE = 0.04, 0.97
-_TOLD_FROM = 0.03
+_TOLD_FROM = 0.05
 """How much of the work must be done before the time that is left is told."""
 
 _THREADS = 2
