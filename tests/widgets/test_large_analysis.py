@@ -25,6 +25,7 @@ from napari_defocus.widgets import (
 )
 from napari_defocus.widgets.analysis import Analysis
 from napari_defocus.widgets.cursor_text import text_under_cursor
+from napari_defocus.widgets.defocus import DefocusWidget
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.kept_files import NotAMapError, write_store
 from napari_defocus.widgets.large_analysis import LargeAnalysis, is_large
@@ -423,6 +424,23 @@ def test_in_memory_and_large_results_take_each_others_place(
     monkeypatch.undo()
     assert layer in viewer.layers
     assert len(viewer.layers) == 5
+
+
+@pytest.mark.display
+def test_map_that_is_kept_is_used_and_not_measured_again(
+    viewer, opened, finish, quick, method, qtbot, monkeypatch
+):
+    monkeypatch.setattr(large_analysis, "LARGEST_IN_MEMORY", 100_000)
+    viewer.add_image(np.zeros((400, 500), np.uint8), name="slide")
+    widget = opened(DefocusWidget)
+    finish(widget)
+    blur_map = viewer.layers["slide blur (px)"].data
+    with qtbot.waitSignal(widget.restore().finished, timeout=20_000):
+        pass
+    assert "slide all in focus" in viewer.layers
+    np.testing.assert_array_equal(method.restorations[0]["blur_map"], 1)
+    assert not method.estimations
+    assert viewer.layers["slide blur (px)"].data is blur_map
 
 
 class Counted:

@@ -7,12 +7,20 @@ from napari.components import ViewerModel
 from napari.layers import Image
 
 from napari_defocus.widgets.depth_form import DepthForm
-from napari_defocus.widgets.map_source import EstimatedSource
+from napari_defocus.widgets.distances import Distances
+from napari_defocus.widgets.large_analysis import is_large
+from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.map_source import (
+    EstimatedSource,
+    MapSource,
+    settings_of_map,
+    source_of_layer,
+)
 from napari_defocus.widgets.pages import Pages
 from napari_defocus.widgets.panel import DefocusPanel
 from napari_defocus.widgets.restoration_form import RestorationForm
 from napari_defocus.widgets.restored import Restoration
-from napari_defocus.widgets.results import Results
+from napari_defocus.widgets.results import BLUR_MAP, Results, layer_of_result
 from napari_defocus.widgets.showing import showing_results
 from napari_defocus.widgets.tools import Tools
 from napari_defocus.widgets.workers import Run
@@ -139,9 +147,7 @@ class DefocusWidget(DefocusPanel):
 
     def estimate_depth(self) -> Run | None:
         """Start to tell distances, and return the run; None if it cannot be done."""
-        return self._run_on(
-            lambda: self.depth.distances(self._shown_plane(), self._estimated_source())
-        )
+        return self._run_on(lambda: self._distances(self._shown_plane()))
 
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
@@ -149,19 +155,27 @@ class DefocusWidget(DefocusPanel):
         if said is not None:
             self.status.value = said
 
+    def _distances(self, plane: Plane) -> Distances:
+        return self.depth.distances(plane, self._source(plane))
+
     def _restoration(self) -> Restoration:
-        settings = self.settings
+        settings, plane = self.settings, self._shown_plane()
         noise = None if settings.shot_noise.value else settings.given_noise_variance()
         return Restoration(
-            plane=self._shown_plane(),
-            source=self._estimated_source(),
+            plane=plane,
+            source=self._source(plane),
             settings=self.restoration.settings(noise),
             linearize="srgb" if settings.linear_light.value else None,
             protect=self.restoration.protect.value,
         )
 
-    def _estimated_source(self) -> EstimatedSource:
-        return EstimatedSource(settings=self.settings.map_settings())
+    def _source(self, plane: Plane) -> MapSource:
+        """Return where the map comes from: of a large plane, the one that was measured."""
+        settings = self.settings.map_settings()
+        layer = layer_of_result(self._viewer.layers, BLUR_MAP, plane.name)
+        if is_large(plane) and isinstance(layer, Image) and settings_of_map(layer) == settings:
+            return source_of_layer(layer, plane, self._viewer, settings.psf)
+        return EstimatedSource(settings=settings)
 
     def _run_on(self, asked: Any) -> Run | None:
         if self._running is not None:
