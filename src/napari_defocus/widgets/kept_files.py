@@ -24,6 +24,12 @@ def is_zarr_name(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".zarr"
 
 
+def is_kept(layer: tuple[Any, dict[str, Any], str]) -> bool:
+    """Return whether a layer, given as a tuple, is a result of ours that is kept on the disk."""
+    made = layer[1].get("metadata", {}).get(METADATA_KEY)
+    return isinstance(made, dict) and STORE in made
+
+
 def copy_store(layer: tuple[Any, dict[str, Any], str], path: Path, *, force: bool = False) -> Path:
     """Copy the store of a result that is kept on the disk.
 
@@ -93,8 +99,7 @@ def write_store(path: str, layers: Sequence[tuple[Any, dict[str, Any], str]]) ->
     if len(layers) != 1:
         raise NotAMapError("A large result is saved on its own. Choose its layer only.")
     [layer] = layers
-    made = layer[1].get("metadata", {}).get(METADATA_KEY)
-    if not isinstance(made, dict) or STORE not in made:
+    if not is_kept(layer):
         raise NotAMapError(
             f"“{layer[1].get('name')}” is no large result of this plugin. Save it as another "
             "file type, such as .tif."

@@ -25,14 +25,13 @@ from napari_defocus.results import (
     values_in_tiff,
 )
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.kept_files import NotAMapError, copy_store
+from napari_defocus.widgets.kept_files import NotAMapError, copy_store, is_kept
 from napari_defocus.widgets.result_layers import COLOR_MAP, CONFIDENCE_COLOR_MAP
 from napari_defocus.widgets.results import (
     BLUR_MAP,
     CONFIDENCE,
     METADATA_KEY,
     PLACEMENT,
-    STORE,
 )
 
 PATTERNS = (
@@ -82,7 +81,7 @@ def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False)
         If the file cannot be written, or exists and `force` is not set.
     """
     data = layer.as_layer_data_tuple()
-    if STORE in data[1].get("metadata", {}).get(METADATA_KEY, {}):
+    if is_kept(data):
         return copy_store(data, Path(path), force=force)
     target = _named(Path(path), _result_of(data))
     write_results({target: _encoded(data)}, force=force)
@@ -113,7 +112,7 @@ def write_maps(path: str, layers: Sequence[LayerTuple]) -> list[str]:
     if len(layers) != 1:
         raise NotAMapError("A blur map is saved on its own. Choose its layer only.")
     [layer] = layers
-    if STORE in layer[1].get("metadata", {}).get(METADATA_KEY, {}):
+    if is_kept(layer):
         return [str(copy_store(layer, Path(path)))]
     target = _named(Path(path), _result_of(layer))
     # The dialog knows nothing of an ending that the name gets here.
