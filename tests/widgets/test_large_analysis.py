@@ -392,6 +392,7 @@ def test_form_asks_where_to_keep_only_what_is_large(
     finish(widget)
     assert "gone when napari is closed" in widget.status.value
     assert viewer.layers["slide blur (px)"].multiscale
+    assert viewer.layers.selection.active.name == "slide blur (px)"
     assert viewer.layers["slide not trusted"].multiscale
     widget.keep_in.value = tmp_path
     finish(widget)

@@ -321,6 +321,7 @@ class DefocusPanel(ImagePanel):
             return
         yield from self._showing_below_brush(results.layers, keep_earlier)
         self._on_min_confidence(self.settings.min_confidence.value)
+        self._choose_first(results.layers)
         self._last_word = self.status.value = results.summary
         analysed = self.kept.analysed.latest(self.image.value)
         if analysed is not None and isinstance(analysis, StackAnalysis):
