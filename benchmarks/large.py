@@ -106,7 +106,7 @@ def truth(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
 def measure(mosaic: Path, output: Path, workers: int, block_size: int) -> tuple[float, int]:
     """Run the batch; return its seconds, and the most bytes that its processes had at once."""
     program = Path(sys.executable).with_name("napari-defocus")
-    command = [program, "batch", mosaic, "-o", output]
+    command = [program, "batch", mosaic, "-o", output, "--confidence"]
     command += ["--workers", workers, "--block-size", block_size]
     start = time.perf_counter()
     process = subprocess.Popen([str(word) for word in command])

@@ -183,10 +183,14 @@ def likelihood_share(
         Of the averaged curve, from its top to its bottom, at most 15.
     """
     top = curve.max(axis=2, keepdims=True)
-    likelihood = np.exp(_TEMPER * (curve - top))
-    agrees = np.abs(candidates.scales - radius[..., None]) <= TOLERANCE + _ROUNDING
+    likelihood = curve - top
+    depth = -likelihood.min(axis=2)
+    likelihood *= np.float32(_TEMPER)
+    np.exp(likelihood, out=likelihood)
+    away = candidates.scales.astype(np.float32) - radius[..., None]
+    agrees = np.abs(away, out=away) <= TOLERANCE + _ROUNDING
     share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
-    return share, agrees.mean(axis=2), (top - curve.min(axis=2, keepdims=True))[..., 0]
+    return share, agrees.mean(axis=2), depth
 
 
 def checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:
