@@ -325,7 +325,7 @@ class _Batch:
         self._work_off(client, self._openings())
         self.counter.started = time.monotonic()
         self.counter.tell()
-        self._work_off(client, self._measurements(client))
+        self._work_off(client, self._measurements())
 
     def write_tables(self) -> BatchReport:
         """Write the table of all planes that were tried."""
@@ -374,7 +374,7 @@ class _Batch:
         share = len(self.opened | self.rows) / len(self.inputs)
         self.counter.progress("Opening the inputs", share)
 
-    def _measurements(self, client: Client) -> Iterator[Job]:
+    def _measurements(self) -> Iterator[Job]:
         """Yield the jobs that measure planes."""
         for each in self.inputs:
             if (source := self.opened.pop(each.name, None)) is None:
@@ -387,29 +387,29 @@ class _Batch:
                 continue
             self.works[each.name] = work
             self.counter.skip(len(work.rows), len(work.rows) * work.plane_px)
-            yield from self._plane_jobs(client, work, source)
+            yield from self._plane_jobs(work, source)
 
-    def _plane_jobs(self, client: Client, work: SourceWork, source: Source) -> Iterator[Job]:
+    def _plane_jobs(self, work: SourceWork, source: Source) -> Iterator[Job]:
         tasks = work.tasks(source)
         if not tasks:
             self._end(work)
         for task in tasks:
             if work.in_parts:
-                yield from self._part_jobs(client, work, task)
+                yield from self._part_jobs(work, task)
             else:
                 yield Job.call(measure_plane, task, partial(self._note, work, task))
 
-    def _part_jobs(self, client: Client, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
+    def _part_jobs(self, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
         """Yield the job of a large plane, unless that is finished or cannot be done."""
         try:
             plane = PlaneInParts(task)
-            parts = plane.graph(client)
+            parts = plane.graph()
         except (TypeError, ValueError) as error:
             self._note(work, task, error)
             return
         self.counter.skip(0, sum(note.px for note in plane.notes))
         if parts:
-            left = iter(range(len(parts) - 1, -1, -1))
+            left = iter(reversed(range(sum(map(len, parts)))))
             yield Job.graph(parts, lambda result: self._note_part(work, plane, next(left), result))
         else:
             self._note(work, task, plane.row())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from napari_defocus.batch_table import DONE, PixelCounts, Row, count_pixels
 from napari_defocus.ome_zarr_writer import TILE
 
 if TYPE_CHECKING:
-    from distributed import Client
+    pass
 
 Region = tuple[slice, slice]
 
@@ -74,21 +75,21 @@ class PlaneInParts:
         self._left = [part for part, note in known if note is None]
         self.notes = [note for _, note in known if note is not None]
 
-    def graph(self, client: Client) -> list[Any]:
-        """Return a delayed task for each part that is not finished."""
+    def graph(self) -> list[list[Any]]:
+        """Return rows of delayed tasks, one for each part that is not finished."""
         from dask import delayed
 
         from napari_defocus.block_graph import cut_together
 
         if not self._left:
             return []
-        # Else a file that is read whole would be read for each part again.
-        if self._plane.npartitions == 1:
-            self._plane = client.persist(self._plane)
         found, noise = self._measured()
         write = delayed(_write, pure=False)
-        pieces = cut_together(found, [part.region for part in self._left])
-        return [write(part, noise, piece) for part, piece in zip(self._left, pieces, strict=True)]
+        pieces = iter(cut_together(found, [part.region for part in self._left]))
+        return [
+            [write(part, noise, next(pieces)) for part in row]
+            for _, row in groupby(self._left, key=lambda part: part.region[0].start)
+        ]
 
     def row(self) -> Row:
         """Return the plane's row, now that every part was tried; note it if all are finished."""

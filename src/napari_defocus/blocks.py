@@ -20,6 +20,7 @@ import dask
 import numpy as np
 from dask import delayed
 from dask.callbacks import Callback
+from dask.delayed import Delayed
 from numpy.typing import DTypeLike, NDArray
 
 from napari_defocus.block_graph import PartGraph, Parts, after, cut_together, pixels, placed
@@ -211,6 +212,7 @@ class LazyCandidates:
         plane, noise = self.planes.plane(index), self._noise(index)
         cells = None
         if not self._cutting.alone:
+            plane = after(plane, noise) if isinstance(noise, Delayed) else plane
             cells = self._labels_of_cells(plane, noise, wanted, seeds)
             plane = after(plane, cells)
         parts = self._cutting.parts()

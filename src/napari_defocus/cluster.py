@@ -124,9 +124,18 @@ class Job:
         return cls(lambda client: [client.submit(function, item, pure=False)], done)
 
     @classmethod
-    def graph(cls, tasks: list[Any], done: Callable[[Any], None]) -> Job:
-        """Return a job of delayed tasks, which share what they need."""
-        return cls(lambda client: list(client.compute(tasks)), done, divided=True)
+    def graph(cls, rows: list[list[Any]], done: Callable[[Any], None]) -> Job:
+        """Return a job of delayed tasks, which share what they need.
+
+        Those of a row come before those of the next ones: dask alone would begin everywhere, and
+        keep much that waits for what is beside it.
+        """
+
+        def submit(client: Client) -> list[Any]:
+            first = enumerate(rows)
+            return [one for number, row in first for one in client.compute(row, priority=-number)]
+
+        return cls(submit, done, divided=True)
 
 
 def outcomes(
