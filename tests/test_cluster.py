@@ -131,3 +131,12 @@ def test_work_in_this_process_starts_no_other():
     with in_this_process() as lent:
         assert lent.submit(os.getpid).result() == os.getpid()
         assert threads_of(lent) == 1
+
+
+def test_own_workers_leave_this_process_as_it_was():
+    before = dict(os.environ)
+    with dask_client(workers=1) as client:
+        assert os.environ.get("NUMBA_NUM_THREADS") == before.get("NUMBA_NUM_THREADS")
+        (found,) = client.run(os.environ.get, "NUMBA_NUM_THREADS").values()
+        assert int(found) >= 1
+    assert dict(os.environ) == before

@@ -32,8 +32,8 @@ _THREADS = (
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
-    "NUMBA_NUM_THREADS",
 )
+"""What has to be known before a process begins; dask sets it in this one, too."""
 
 _MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(4 << 20)}
 """Large arrays go back to the system when they are done with: glibc would keep a third more."""
@@ -210,10 +210,18 @@ def _own_cluster(workers: int) -> Iterator[Client]:
 
     threads = str(max(1, cores() // workers))
     started_with = dict.fromkeys(_THREADS, threads) | _MEMORY
+    before = {name: os.environ[name] for name in started_with.keys() & os.environ.keys()}
+    # In this process, numba would refuse to work with another number than it began with.
+    told = {"NUMBA_NUM_THREADS": threads}
     with ExitStack() as started:
         with (
             _without_interrupts(),
-            dask.config.set({"distributed.nanny.pre-spawn-environ": started_with}),
+            dask.config.set(
+                {
+                    "distributed.nanny.pre-spawn-environ": started_with,
+                    "distributed.nanny.environ": told,
+                }
+            ),
         ):
             cluster = started.enter_context(
                 LocalCluster(
@@ -233,6 +241,9 @@ def _own_cluster(workers: int) -> Iterator[Client]:
         finally:
             with _without_interrupts():
                 started.close()
+            for name in started_with.keys() - before.keys():
+                os.environ.pop(name, None)
+            os.environ.update(before)
 
 
 def _quiet_libraries() -> Any:
