@@ -137,6 +137,6 @@ def test_own_workers_leave_this_process_as_it_was():
     before = dict(os.environ)
     with dask_client(workers=1) as client:
         assert os.environ.get("NUMBA_NUM_THREADS") == before.get("NUMBA_NUM_THREADS")
-        (found,) = client.run(os.environ.get, "NUMBA_NUM_THREADS").values()
-        assert int(found) >= 1
+        (found,) = client.run(environment, None).values()
+        assert int(found[0]) >= 1
     assert dict(os.environ) == before
