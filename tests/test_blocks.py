@@ -207,7 +207,8 @@ def test_every_scheduler_has_the_same_result(picture, in_parts, cluster):
         blur_map.compute(scheduler="processes", num_workers=2),
         blur_map.compute(scheduler=cluster),
     ):
-        np.testing.assert_array_equal(computed, in_parts["blur_map"])
+        # Once in many runs, some pixels had another last bit.
+        np.testing.assert_allclose(computed, in_parts["blur_map"], rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize(
