@@ -16,7 +16,9 @@ from napari_defocus import (
     confidence_map,
     estimate_blur_map,
     estimate_candidates,
+    explain_pixel,
     label_blur_map,
+    labeling_energy,
     restore_all_in_focus,
     segment_in_focus,
     simulate_defocus,
@@ -219,16 +221,47 @@ def test_every_scheduler_has_the_same_result(picture, in_parts, cluster):
         ({"axes": "yx"}, "axes is 'yx'; image has 3 axes"),
         ({"axes": "zyx", "channel_axis": 0}, "they say the same"),
         ({"channel_axis": 3}, "channel_axis is 3"),
-        ({"axes": "syx"}, "image has 4 channels|opacity"),
         ({"axes": "zyx", "block_size": 10}, "block_size is 10; it takes"),
     ],
 )
 def test_impossible_stacks_are_refused(stack, arguments, message):
-    if arguments.get("axes") == "syx":
-        stack = stack[:2]
-        message = "image has 2 channels"
     with pytest.raises(ValueError, match=message):
         estimate_candidates(stack, **arguments)
+
+
+def test_planes_of_two_colors_are_refused(stack):
+    with pytest.raises(ValueError, match="image has 2 channels"):
+        estimate_candidates(stack[:2], axes="syx")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda large: large[large[:, 0] > 0.5], "takes a dask array of known size"),
+        (lambda large: large[:0], r"image has shape \(0, 420\)"),
+        (lambda large: large[0], r"image has shape \(420,\)"),
+    ],
+)
+def test_impossible_dask_arrays_are_refused(picture, changed, message):
+    with pytest.raises(ValueError, match=message):
+        estimate_candidates(changed(da.from_array(picture)))
+
+
+def test_impossible_ranges_and_maps_are_refused_before_anything_is_read(lazy, picture):
+    unread = da.from_delayed(dask.delayed(pytest.fail)("was read"), picture.shape, float)
+    with pytest.raises(ValueError, match=r"intensity_range is \(1, 0\)"):
+        estimate_candidates(unread, intensity_range=(1, 0))
+    with pytest.raises(TypeError, match="blur_map has dtype <U1"):
+        confidence_map(lazy, np.full(picture.shape, "a"))
+    with pytest.raises(TypeError, match="seeds has dtype float64"):
+        segment_in_focus(lazy, picture, seeds=np.zeros(picture.shape))
+
+
+def test_functions_of_one_picture_refuse_parts(lazy, picture):
+    with pytest.raises(TypeError, match="those of a stack or a dask array"):
+        explain_pixel(lazy, 10, 10)
+    with pytest.raises(TypeError, match="those of a stack or a dask array"):
+        labeling_energy(np.zeros(picture.shape), lazy, picture)
 
 
 def test_other_images_than_that_of_the_candidates_are_refused(lazy, picture):

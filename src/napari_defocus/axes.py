@@ -113,6 +113,11 @@ def arranged_image(image: Any, axes: str | None, channel_axis: int | None) -> tu
             axis_roles(image.shape, None, None)
         return image, ""
     array = image if is_lazy(image) else np.asarray(image)
+    if any(np.isnan(length) for length in array.shape):
+        raise ValueError(
+            f"image has shape {array.shape}; it takes a dask array of known size, see its "
+            "compute_chunk_sizes"
+        )
     roles = axis_roles(tuple(int(n) for n in array.shape), axes, channel_axis)
     if is_lazy(array) or set(roles) - set("yxs"):
         return array, roles

@@ -114,14 +114,21 @@ class Noise:
     given: float | ShotNoise | None
     variance: float | None = None
 
+    @property
+    def known(self) -> float | None:
+        """Its variance, or mean variance; None if that is to be found from pixels."""
+        if self.variance is not None or isinstance(self.given, ShotNoise):
+            return self.variance
+        return None if self.given is None else float(self.given)
+
     def of(self, picture: PreparedImage) -> tuple[float, ShotNoise | None]:
         """Return the variance for the spectra, and how the noise grows."""
         shot_noise = self.given if isinstance(self.given, ShotNoise) else None
-        if self.variance is not None:
-            return self.variance, shot_noise
-        if isinstance(self.given, ShotNoise):
-            return mean_shot_noise(picture, self.given), shot_noise
-        return (noise_variance_of(picture) if self.given is None else float(self.given)), None
+        if self.known is not None:
+            return self.known, shot_noise
+        if shot_noise is not None:
+            return mean_shot_noise(picture, shot_noise), shot_noise
+        return noise_variance_of(picture), None
 
     @classmethod
     def of_samples(cls, given: float | ShotNoise | None, samples: list[NoiseSample]) -> Noise:

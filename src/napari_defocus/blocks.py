@@ -164,7 +164,7 @@ class LazyCandidates:
             If `image` is another one than that of the candidates, or `seeds` have another shape.
         """
         self.planes.check_same(image)
-        known = None if seeds is None else self.planes.belonging("seeds", seeds)
+        known = None if seeds is None else self.planes.belonging("seeds", seeds, "ui")
         found = self.measure(Wanted(**asked), known)
         return computed(found, progress) if self.planes.in_memory else found
 
@@ -253,7 +253,9 @@ class LazyCandidates:
                 seen = pixels(plane, part.pixels), part
                 return windows_of_part, *seen, graph.key_of(noise), how, name
 
-            shape_of = lambda part: (*part.own_windows, length)  # noqa: E731
+            def shape_of(part: Part) -> tuple[int, ...]:
+                return (*part.own_windows, length)
+
             return {name: graph.array(name, parts, task_of, np.float32, shape_of)}
 
         return self.planes.each(of_plane)[name]

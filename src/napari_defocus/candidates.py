@@ -227,6 +227,15 @@ def as_lazy(candidates: Any) -> Any:
     return candidates
 
 
+def check_not_lazy(candidates: Any) -> None:
+    """Refuse candidates of a stack or a dask array, and what are no candidates."""
+    if as_lazy(candidates) is not None:
+        raise TypeError(
+            "candidates are those of a stack or a dask array; this takes those of one picture, "
+            "as estimate_candidates gives them for an array of numpy"
+        )
+
+
 def check_place(row: float, column: float, shape: tuple[int, int]) -> None:
     """Check that a place, in px, is in a picture of a height and width."""
     height, width = shape
@@ -346,7 +355,7 @@ def estimate_candidates(
 
         check_linearize(linearize)
         how = Estimation(psf, window, stride, mode, spectra, search, linearize, intensity_range)
-        planes = LazyPlanes.of(image, roles)
+        planes = LazyPlanes.of(image, roles, intensity_range)
         lazy: Any = LazyCandidates(planes, how, noise_variance, block_size)
         return lazy
     picture = prepare_image(image, intensity_range, linearize)

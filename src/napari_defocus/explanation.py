@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.candidates import BlurCandidates, check_place
+from napari_defocus.candidates import BlurCandidates, check_not_lazy, check_place
 from napari_defocus.confidence import TOLERANCE
 from napari_defocus.evidence import CARRIED_IN, asked_windows, evidence_share
 from napari_defocus.image import PreparedImage, prepare_image
@@ -202,6 +202,7 @@ def explain_pixel(
     >>> explanation.log_likelihood.shape
     (81,)
     """
+    check_not_lazy(candidates)
     check_place(row, column, candidates.image_shape)
     values = {"blur_map": blur_map, "confidence": confidence}
     known = {

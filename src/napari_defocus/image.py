@@ -71,7 +71,7 @@ def prepare_image(
     """
     check_linearize(linearize)
     array = _checked_array(image)
-    low, high = _checked_range(intensity_range, array.dtype)
+    low, high = checked_range(intensity_range, array.dtype)
     opaque = None
     if array.ndim == 3 and array.shape[2] == 4:
         opaque = array[..., 3] > 0
@@ -129,9 +129,10 @@ def _checked_array(image: ArrayLike) -> NDArray[Any]:
     return array
 
 
-def _checked_range(
+def checked_range(
     intensity_range: tuple[float, float] | None, dtype: np.dtype[Any]
 ) -> tuple[float, float]:
+    """Return the intensities that become 0 and 1: the given ones, or those of the dtype."""
     if intensity_range is not None:
         try:
             low, high = (float(value) for value in intensity_range)

@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.axes import is_lazy, planes_first
-from napari_defocus.image import MIN_SIDE
-from napari_defocus.parts import Part
+from napari_defocus.image import MIN_SIDE, checked_range
 
 Index = tuple[int, ...]
-Parts = list[list[Part]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class LazyPlanes:
     in_memory: bool
 
     @classmethod
-    def of(cls, image: Any, roles: str) -> LazyPlanes:
+    def of(cls, image: Any, roles: str, intensity_range: tuple[float, float] | None) -> LazyPlanes:
         """Arrange an array of numpy or dask whose axes are known, see `axes.axis_roles`.
 
         Raises
@@ -47,7 +45,7 @@ class LazyPlanes:
         TypeError
             If it has no real dtype.
         ValueError
-            If it has no plane, or a side below 3 px.
+            If it has no plane, or a side below 3 px, or the range is none.
         """
         arranged, in_memory = planes_first(image, roles), not is_lazy(image)
         has_colors = "s" in roles and arranged.ndim == len(roles)
@@ -55,6 +53,7 @@ class LazyPlanes:
             raise TypeError(
                 f"image has dtype {image.dtype}; it takes a real one (integers, floats or bool)"
             )
+        checked_range(intensity_range, np.dtype(image.dtype))
         if in_memory:
             arranged = _as_dask(arranged, arranged.ndim - 2 - has_colors)
         planes = cls(arranged, image.shape, has_colors, in_memory)
@@ -84,12 +83,23 @@ class LazyPlanes:
                 f"{self.given_shape}"
             )
 
-    def belonging(self, name: str, array: Any) -> Any:
-        """Return an array with a value for each pixel, (..., H, W), as a dask array."""
-        shape = self.counts + self.shape
-        if np.shape(array) != shape:
-            raise ValueError(f"{name} has shape {np.shape(array)}; it takes the image's, {shape}")
-        return array if is_lazy(array) else _as_dask(np.asarray(array), len(self.counts))
+    def belonging(self, name: str, array: Any, kinds: str = "buif") -> Any:
+        """Return an array with a value for each pixel, (..., H, W), as a dask array.
+
+        Raises
+        ------
+        TypeError
+            If its dtype is none of `kinds`, letters as numpy has them.
+        ValueError
+            If it has another shape.
+        """
+        shape, given = self.counts + self.shape, array if is_lazy(array) else np.asarray(array)
+        if given.shape != shape:
+            raise ValueError(f"{name} has shape {given.shape}; it takes the image's, {shape}")
+        if given.dtype.kind not in kinds:
+            numbers = "integers" if "f" not in kinds else "real numbers"
+            raise TypeError(f"{name} has dtype {given.dtype}; it takes {numbers}")
+        return given if is_lazy(given) else _as_dask(given, len(self.counts))
 
     def plane(self, index: Index) -> Any:
         """Return a plane whose blocks have all colours: (H, W) or (H, W, C) dask.array.Array."""

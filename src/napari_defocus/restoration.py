@@ -183,7 +183,7 @@ def restore_all_in_focus(
             linearize=linearize,
             intensity_range=intensity_range,
         )
-        planes = LazyPlanes.of(image, roles)
+        planes = LazyPlanes.of(image, roles, intensity_range)
         return restore_planes(planes, blur_map, confidence, how, block_size, progress)
     picture = prepare_image(image, intensity_range, linearize)
     scales = checked_scales(blur_map, picture.shape, psf)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks
-from napari_defocus.candidates import BlurCandidates
+from napari_defocus.candidates import BlurCandidates, check_not_lazy
 from napari_defocus.evidence import limited_depth, on_own_side
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.progress import Progress, silent
@@ -63,10 +63,11 @@ class Scene:
         Raises
         ------
         TypeError
-            If `image` has no real dtype.
+            If `image` has no real dtype, or `candidates` are not those of one picture.
         ValueError
             If it is no picture, or another one than that of `candidates`.
         """
+        check_not_lazy(candidates)
         picture = _picture_of(candidates, image, intensity_range)
         own = on_own_side(candidates, picture)
         centers = candidates.row_centers, candidates.column_centers
