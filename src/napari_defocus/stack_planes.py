@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.axes import axis_roles
 from napari_defocus.image import MIN_SIDE
-
-_COLORS = (1, 3, 4)
-_ROLES = "y, x, s for colours, and another letter for the planes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,49 +86,23 @@ class StackPlanes:
 
 
 def _roles(shape: tuple[int, ...], axes: str | None, channel_axis: int | None) -> str:
-    """Return a letter for each axis: y, x, s, and another one for the planes."""
-    if axes is not None and channel_axis is not None:
+    """Return a letter for each axis, see `axis_roles`; one of them is that of the planes."""
+    if axes is None and channel_axis is None:
+        usual = {(3, False): "zyx", (4, True): "zyxs"}.get((len(shape), shape[-1:] in ((3,), (4,))))
+        if usual is None:
+            raise ValueError(
+                f"stack has shape {shape}; it takes (Z, H, W), (Z, H, W, 3) or (Z, H, W, 4), "
+                "or axes that say which is which"
+            )
+        return usual
+    roles = axis_roles(shape, axes, channel_axis, "stack")
+    if len(set(roles) - set("yxs")) != 1:
+        given = f"axes is {axes!r}" if axes is not None else f"channel_axis is {channel_axis}"
         raise ValueError(
-            f"axes is {axes!r} and channel_axis is {channel_axis}; they say the same, it takes one"
+            f"{given} and stack has shape {shape}; it takes rows, columns, one axis of planes, "
+            "and colours if there are any, such as 'zyx'"
         )
-    if axes is not None:
-        return _checked_axes(axes, shape)
-    if channel_axis is not None:
-        return _with_channels(channel_axis, shape)
-    if len(shape) == 3 and shape[2] not in (3, 4):
-        return "zyx"
-    if len(shape) == 4 and shape[3] in (3, 4):
-        return "zyxs"
-    raise ValueError(
-        f"stack has shape {shape}; it takes (Z, H, W), (Z, H, W, 3) or (Z, H, W, 4), "
-        "or axes that say which is which"
-    )
-
-
-def _checked_axes(axes: str, shape: tuple[int, ...]) -> str:
-    if not isinstance(axes, str):
-        raise TypeError(f"axes is {axes!r}; it takes a string such as 'zyx' or 'zyxs'")
-    roles = axes.lower()
-    planes = set(roles) - set("yxs")
-    letters = len(set(roles)) == len(roles) and roles.isalpha()
-    if not (letters and {"y", "x"} <= set(roles) and len(planes) == 1):
-        raise ValueError(f"axes is {axes!r}; it takes {_ROLES}, each once, such as 'zyx'")
-    if len(roles) != len(shape):
-        raise ValueError(f"axes is {axes!r}; stack has {len(shape)} axes, its shape is {shape}")
     return roles
-
-
-def _with_channels(channel_axis: int, shape: tuple[int, ...]) -> str:
-    if not isinstance(channel_axis, int | np.integer):
-        raise TypeError(f"channel_axis is {channel_axis!r}; it takes a whole number, or None")
-    if len(shape) != 4 or not -4 <= channel_axis < 4:
-        raise ValueError(
-            f"channel_axis is {channel_axis} and stack has shape {shape}; "
-            "it takes one of four axes: planes, rows, columns and colours"
-        )
-    rest = "zyx"
-    at = int(channel_axis) % 4
-    return rest[:at] + "s" + rest[at:]
 
 
 def _check_sizes(planes: StackPlanes, shape: tuple[int, ...]) -> None:
@@ -140,8 +112,4 @@ def _check_sizes(planes: StackPlanes, shape: tuple[int, ...]) -> None:
         raise ValueError(
             f"stack has planes of {planes.shape[0]} x {planes.shape[1]} px; "
             f"it takes at least {MIN_SIDE} px a side"
-        )
-    if len(planes.shape) == 3 and planes.shape[2] not in _COLORS:
-        raise ValueError(
-            f"stack has {planes.shape[2]} channels; it takes 1, 3 colours, or 4 with opacity"
         )
