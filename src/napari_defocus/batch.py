@@ -18,9 +18,9 @@ import napari_defocus
 from napari_defocus.batch_files import BatchFolder
 from napari_defocus.batch_parts import PartNote, PlaneInParts
 from napari_defocus.batch_planes import (
+    BatchPlan,
     FinishTask,
     PlaneTask,
-    Wanted,
     failed,
     finish,
     look_at,
@@ -42,7 +42,7 @@ from napari_defocus.batch_table import FAILED, Row, in_csv, in_json_lines
 from napari_defocus.cluster import Job, in_this_process, outcomes
 from napari_defocus.files import UnwritableResult, write_results
 from napari_defocus.lazy_arrays import need_large_extra
-from napari_defocus.progress import Cancelled, Progress, silent
+from napari_defocus.progress import Cancelled, Progress, duration, silent
 from napari_defocus.settings import BLOCK_SIZE, check_block_size, check_confidence, check_threshold
 from napari_defocus.settings_file import Settings
 from napari_defocus.sources import Source, find_sources
@@ -158,21 +158,26 @@ def measure_batch(
     (2, 0, ['status', 'done', 'done'])
     """
     need_large_extra()
-    check_block_size(block_size)
-    wanted = replace(
-        _wanted(settings or Settings(), confidence, mask, restore, min_confidence, intensity_range),
-        block_size=int(block_size),
+    asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
+    plan = _checked(
+        BatchPlan(
+            settings=settings or Settings(),
+            kinds=tuple(kind for kind, is_asked in asked.items() if is_asked),
+            min_confidence=min_confidence,
+            intensity_range=intensity_range,
+            block_size=block_size,
+        )
     )
     if file_format not in get_args(FileFormat):
         raise ValueError(f"file_format is {file_format!r}; it takes one of {get_args(FileFormat)}")
     folder = BatchFolder(Path(output).absolute())
     sources = _sources(inputs, folder)
-    made_with = json.loads(json.dumps(wanted.facts() | {"file_format": file_format}))
+    made_with = json.loads(json.dumps(plan.facts() | {"file_format": file_format}))
     found = compared_inputs(sources, folder, made_with)
     if not force:
         _refuse_changed(found, folder)
     folder.begin(made_with, force=force)
-    batch = _Batch(folder, wanted, file_format, found, _Counter(progress))
+    batch = _Batch(folder, plan, file_format, found, _Counter(progress))
     with nullcontext(client) if client is not None else in_this_process() as lent:
         try:
             _check_workers(lent, folder)
@@ -186,27 +191,16 @@ def measure_batch(
 # Before the work.
 
 
-def _wanted(
-    settings: Settings,
-    confidence: bool,
-    mask: bool,
-    restore: bool,
-    min_confidence: float,
-    intensity_range: tuple[float, float] | None,
-) -> Wanted:
-    check_confidence("min_confidence", min_confidence)
+def _checked(plan: BatchPlan) -> BatchPlan:
+    """Refuse what cannot be; name a lens so that workers in other folders find it."""
+    settings = plan.settings
+    check_confidence("min_confidence", plan.min_confidence)
     check_threshold(settings.mask.threshold, settings.map.family().max_scale)
+    check_block_size(plan.block_size)
     if settings.map.psf.lower().endswith(".npz"):
-        # Workers may be in another folder.
         lens = str(Path(settings.map.psf).absolute())
         settings = replace(settings, map=replace(settings.map, psf=lens))
-    asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
-    return Wanted(
-        settings=settings,
-        kinds=tuple(kind for kind, is_asked in asked.items() if is_asked),
-        min_confidence=float(min_confidence),
-        intensity_range=intensity_range,
-    )
+    return replace(plan, settings=settings)
 
 
 def _sources(
@@ -292,26 +286,12 @@ class _Counter:
         self.progress(text, self.px_done / self.px if self.px else 1.0)
 
 
-def duration(seconds: float) -> str:
-    """Return a time in the unit that people would say it in, rounded up.
-
-    Examples
-    --------
-    >>> duration(9.2), duration(200), duration(9000)
-    ('10 s', '4 min', '2 h 30 min')
-    """
-    if seconds <= 60:
-        return f"{math.ceil(seconds)} s"
-    minutes = math.ceil(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
-
-
 @dataclass
 class _Batch:
     """A run over all inputs."""
 
     folder: BatchFolder
-    wanted: Wanted
+    plan: BatchPlan
     file_format: FileFormat
     inputs: list[BatchInput]
     counter: _Counter
@@ -355,7 +335,7 @@ class _Batch:
     def _openings(self) -> Iterator[Job]:
         """Yield the jobs that open what is not finished."""
         for each in self.inputs:
-            rows = finished_rows(each, self.folder, self.wanted)
+            rows = finished_rows(each, self.folder, self.plan)
             if rows is None:
                 yield Job.call(look_at, each.given.absolute(), partial(self._keep, each))
                 continue
@@ -381,7 +361,7 @@ class _Batch:
                 continue
             # What is wrong with one source, such as axes that a format has not, is its own.
             try:
-                work = begin(each, source, self.folder, self.wanted, self.file_format)
+                work = begin(each, source, self.folder, self.plan, self.file_format)
             except (OSError, TypeError, ValueError) as error:
                 self.rows[each.name] = [unopened(each, error)]
                 continue

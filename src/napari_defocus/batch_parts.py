@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import napari_defocus
 from napari_defocus.batch_files import read_note, write_note
-from napari_defocus.batch_planes import PlaneTask, Target, Wanted, failed
+from napari_defocus.batch_planes import BatchPlan, PlaneTask, Target, failed
 from napari_defocus.batch_table import DONE, PixelCounts, Row, count_pixels
 from napari_defocus.ome_zarr_writer import TILE
 
@@ -45,7 +45,7 @@ class _PartTask:
     index: tuple[int, ...]
     targets: tuple[Target, ...]
     note: Path
-    wanted: Wanted
+    plan: BatchPlan
 
 
 class PlaneInParts:
@@ -63,13 +63,13 @@ class PlaneInParts:
     """
 
     def __init__(self, task: PlaneTask) -> None:
-        wanted = task.wanted
-        if wanted.settings.map.shot_noise:
+        plan = task.plan
+        if plan.settings.map.shot_noise:
             raise TooLarge("how noise grows with the intensity is not found in so many pixels")
         self.task, self._plane = task, task.plane
         self.error: str | None = None
         self._parts = [
-            self._part(region) for region in _regions(task.plane.shape[:2], wanted.block_size)
+            self._part(region) for region in _regions(task.plane.shape[:2], plan.block_size)
         ]
         known = [(part, _finished(part)) for part in self._parts]
         self._left = [part for part, note in known if note is None]
@@ -109,19 +109,19 @@ class PlaneInParts:
         task, (rows, columns) = self.task, region
         name = f"{task.row_path.stem}-at-{rows.start}-{columns.start}.json"
         note = task.row_path.with_name(name)
-        return _PartTask(region, task.index, task.targets, note, task.wanted)
+        return _PartTask(region, task.index, task.targets, note, task.plan)
 
     def _measured(self) -> tuple[dict[str, Any], Any]:
         """Return dask arrays of all that is wanted, and the noise, delayed."""
-        from napari_defocus.block_tasks import Wanted as OfParts
+        from napari_defocus.block_tasks import Wanted
         from napari_defocus.blocks import noise_of_plane
 
-        wanted, plane = self.task.wanted, self._plane
-        settings = wanted.settings.map
+        plan, plane = self.task.plan, self._plane
+        settings = plan.settings.map
         given: dict[str, Any] = {
-            "intensity_range": wanted.intensity_range,
+            "intensity_range": plan.intensity_range,
             "linearize": settings.linearize,
-            "block_size": wanted.block_size,
+            "block_size": plan.block_size,
         }
         lazy: Any = napari_defocus.estimate_candidates(
             plane,
@@ -132,12 +132,12 @@ class PlaneInParts:
             mode=settings.mode,
             **given,
         )
-        restoration = wanted.settings.restoration if "in_focus" in wanted.kinds else None
-        asked = OfParts(
+        restoration = plan.settings.restoration if "in_focus" in plan.kinds else None
+        asked = Wanted(
             map_weights=(settings.smoothness, settings.color_sigma),
             confidence=True,
             risk=None if restoration is None else restoration.risk,
-            mask=wanted.settings.mask if "mask" in wanted.kinds else None,
+            mask=plan.settings.mask if "mask" in plan.kinds else None,
         )
         found = lazy.measure(asked)
         if restoration is not None:
@@ -188,20 +188,19 @@ def _place(part: _PartTask, target: Target) -> tuple[slice | int, ...]:
 
 def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartNote:
     """Write what was found of a part, note that it is finished, and return the note."""
-    wanted, confidence = part.wanted, found["confidence"]
+    plan, confidence = part.plan, found["confidence"]
     counts = count_pixels(
         found["blur_map"],
         confidence,
         found.get("mask"),
-        threshold=wanted.settings.mask.threshold,
-        max_scale=wanted.settings.map.family().max_scale,
+        threshold=plan.settings.mask.threshold,
+        max_scale=plan.settings.map.family().max_scale,
     )
-    untrusted = confidence < wanted.min_confidence
+    untrusted = confidence < plan.min_confidence
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in part.targets:
         assert target.writer is not None
         target.writer.write_region(_place(part, target), made[target.kind])
-    variance = noise.given if noise.variance is None else noise.variance
-    note = PartNote(_px(part.region), counts, float(variance))
+    note = PartNote(_px(part.region), counts, float(noise.known))
     write_note(part.note, {"counts": counts.note(), "noise_variance": note.noise_variance})
     return note

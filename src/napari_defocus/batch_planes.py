@@ -61,7 +61,7 @@ KINDS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
+class BatchPlan:
     """What is made of every plane.
 
     Attributes
@@ -152,7 +152,7 @@ class PlaneTask:
         What its row says of where results are.
     targets : tuple of Target
     row_path : Path
-    wanted : Wanted
+    plan : BatchPlan
     """
 
     plane: da.Array
@@ -161,7 +161,7 @@ class PlaneTask:
     results: dict[str, str]
     targets: tuple[Target, ...]
     row_path: Path
-    wanted: Wanted
+    plan: BatchPlan
 
 
 @dataclass(frozen=True)
@@ -184,11 +184,11 @@ def measure_plane(task: PlaneTask) -> Row:
     """Measure a plane, write its results, note that it is finished, and return its row."""
     try:
         picture = np.asarray(task.plane.compute(scheduler="synchronous"))
-        wanted = task.wanted
-        found = measure_map(picture, wanted.settings.map, wanted.intensity_range, silent)
-        made = _made_of(found, picture, wanted)
+        plan = task.plan
+        found = measure_map(picture, plan.settings.map, plan.intensity_range, silent)
+        made = _made_of(found, picture, plan)
         _write(task, made, found, picture)
-        row = task.known | {"status": DONE} | _facts(found, made.get("mask"), wanted)
+        row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan)
         row |= task.results
         write_note(task.row_path, row)
     except Exception as error:
@@ -208,55 +208,45 @@ def reason(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _made_of(found: Measurement, picture: NDArray[Any], wanted: Wanted) -> dict[str, NDArray[Any]]:
+def _made_of(found: Measurement, picture: NDArray[Any], plan: BatchPlan) -> dict[str, NDArray[Any]]:
     assert found.candidates is not None
     assert found.confidence is not None
-    made = {"map": found.trusted(wanted.min_confidence), "confidence": found.confidence}
-    if "mask" in wanted.kinds:
+    made = {"map": found.trusted(plan.min_confidence), "confidence": found.confidence}
+    if "mask" in plan.kinds:
         made["mask"] = napari_defocus.segment_in_focus(
             found.candidates,
             picture,
-            **asdict(wanted.settings.mask),
-            intensity_range=wanted.intensity_range,
+            **asdict(plan.settings.mask),
+            intensity_range=plan.intensity_range,
         )
-    if "in_focus" in wanted.kinds:
-        made["in_focus"] = with_opacity(_restored(found, picture, wanted), picture)
+    if "in_focus" in plan.kinds:
+        made["in_focus"] = with_opacity(_restored(found, picture, plan), picture)
     return made
 
 
-def _restored(found: Measurement, picture: NDArray[Any], wanted: Wanted) -> NDArray[Any]:
+def _restored(found: Measurement, picture: NDArray[Any], plan: BatchPlan) -> NDArray[Any]:
     """Take away what is safe to take away, as the command for one picture does."""
-    from napari_defocus.restoration import usual_tv_weight
-
-    settings, light = wanted.settings.restoration, wanted.settings.map.linearize
-    noise = settings.noise_variance
-    noise = found.noise_variance if noise is None else noise
-    if noise is None:
-        noise = napari_defocus.estimate_noise_variance(
-            picture, linearize=light, intensity_range=wanted.intensity_range
-        )
-    weight = settings.tv_weight
+    settings = plan.settings.restoration
+    given = settings.noise_variance
     return napari_defocus.restore_all_in_focus(
         picture,
         found.cautious(settings.risk),
         psf=found.psf,
-        noise_variance=noise,
+        noise_variance=found.noise_variance if given is None else given,
         confidence=found.confidence,
-        tv_weight=usual_tv_weight(noise, 1 if picture.ndim == 2 else 3)
-        if weight is None
-        else weight,
-        linearize=light,
-        intensity_range=wanted.intensity_range,
+        tv_weight=settings.tv_weight,
+        linearize=plan.settings.map.linearize,
+        intensity_range=plan.intensity_range,
     )
 
 
-def _facts(found: Measurement, mask: NDArray[Any] | None, wanted: Wanted) -> Row:
+def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Row:
     assert found.confidence is not None
     counts = count_pixels(
         found.blur_map,
         found.confidence,
         mask,
-        threshold=wanted.settings.mask.threshold,
+        threshold=plan.settings.mask.threshold,
         max_scale=found.psf.max_scale,
     )
     noise = found.noise_variance
@@ -269,7 +259,7 @@ def _write(
     contents = {}
     for target in task.targets:
         if target.writer is None:
-            contents[target.path] = _encoded(target.kind, made, found, picture, task.wanted)
+            contents[target.path] = _encoded(target.kind, made, found, picture, task.plan)
         else:
             target.writer.write_region(_region(target.writer, task.index), made[target.kind])
     write_results(contents, force=True)
@@ -284,12 +274,12 @@ def _encoded(
     made: Mapping[str, NDArray[Any]],
     found: Measurement,
     picture: NDArray[Any],
-    wanted: Wanted,
+    plan: BatchPlan,
 ) -> bytes:
     """Return a file of the bytes that the commands for one picture write."""
-    made_with = used(found, wanted.settings.map)
+    made_with = used(found, plan.settings.map)
     if kind == "map":
-        made_with |= {"min_confidence": wanted.min_confidence}
+        made_with |= {"min_confidence": plan.min_confidence}
         return blur_map_tiff(made[kind], made_with, found.psf.scale_name)
     if kind == "confidence":
         return confidence_tiff(made[kind], made_with)

@@ -20,10 +20,10 @@ from napari_defocus.batch_files import (
 )
 from napari_defocus.batch_planes import (
     KINDS,
+    BatchPlan,
     Index,
     PlaneTask,
     Target,
-    Wanted,
     discard,
     failed,
     go_on_from_whole,
@@ -86,13 +86,13 @@ def compared_inputs(sources: list[Path], folder: BatchFolder, made_with: Facts) 
     return inputs
 
 
-def finished_rows(each: BatchInput, folder: BatchFolder, wanted: Wanted) -> list[Row] | None:
+def finished_rows(each: BatchInput, folder: BatchFolder, plan: BatchPlan) -> list[Row] | None:
     """Return the rows of a source of which nothing is left to do, else None."""
     notes = folder.of_source(each.name)
     rows = notes.finished() if each.unchanged else None
     if rows is None or any(row["status"] != DONE for row in rows):
         return None
-    places = {row[kind] for row in rows for kind in wanted.kinds}
+    places = {row[kind] for row in rows for kind in plan.kinds}
     if not all((folder.path / place).exists() for place in places):
         return None
     _remove_stores(notes)
@@ -137,7 +137,7 @@ class SourceWork:
     rows : dict of index to row
         Of planes that are finished, or were tried.
     plane_px : int
-    wanted : Wanted
+    plan : BatchPlan
     """
 
     input: BatchInput
@@ -149,7 +149,7 @@ class SourceWork:
     results: dict[str, str]
     rows: dict[Index, Row]
     plane_px: int
-    wanted: Wanted
+    plan: BatchPlan
 
     @property
     def has_stores(self) -> bool:
@@ -187,7 +187,7 @@ class SourceWork:
                 results=self.results,
                 targets=self.targets,
                 row_path=self.notes.row_path(index),
-                wanted=self.wanted,
+                plan=self.plan,
             )
             for index in self.planes
             if index not in self.rows
@@ -210,7 +210,7 @@ def begin(
     each: BatchInput,
     source: Source,
     folder: BatchFolder,
-    wanted: Wanted,
+    plan: BatchPlan,
     file_format: FileFormat,
 ) -> SourceWork:
     """Begin with a source, or go on with what an earlier run has left.
@@ -231,10 +231,10 @@ def begin(
         _with_writer(
             _target(kind, each.name, source, folder, file_format),
             source,
-            wanted,
+            plan,
             complete=len(rows) == len(planes),
         )
-        for kind in wanted.kinds
+        for kind in plan.kinds
     )
     height, width = plane_size(source)
     known = source_facts(str(each.given), source.scale, source.units)
@@ -252,7 +252,7 @@ def begin(
             if all(has_plane(target, index) for target in targets)
         },
         plane_px=height * width,
-        wanted=wanted,
+        plan=plan,
     )
 
 
@@ -277,7 +277,7 @@ def _ending_in(place: Path, suffix: str) -> Path:
     return place.with_name(place.name + suffix)
 
 
-def _with_writer(target: Target, source: Source, wanted: Wanted, *, complete: bool) -> Target:
+def _with_writer(target: Target, source: Source, plan: BatchPlan, *, complete: bool) -> Target:
     """Return a target with what writes its store, unless that is whole already."""
     store = target.store
     if store is None:
@@ -296,7 +296,7 @@ def _with_writer(target: Target, source: Source, wanted: Wanted, *, complete: bo
         axes=axes,
         scale={axis: step for axis, step in source.scale.items() if axis in axes},
         units={axis: unit for axis, unit in source.units.items() if axis in axes},
-        attributes=wanted.description(target.kind),
+        attributes=plan.description(target.kind),
         labels=target.kind == "mask",
         resume=True,
         force=True,

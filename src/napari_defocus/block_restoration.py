@@ -54,7 +54,7 @@ def restore_part(
         pixels,
         blur_map,
         psf=how.psf,
-        noise_variance=noise.of(how.prepared(pixels))[0],
+        noise_variance=noise.known,
         confidence=confidence,
         tv_weight=how.tv_weight,
         linearize=how.linearize,
@@ -95,11 +95,12 @@ def restore_planes(
             graph.add(place, restore_part, *known, trusted, part, graph.key_of(noise), how)
 
         def task_of(row: int, column: int) -> Any:
-            near = list(neighbors(parts, row, column))
-            seen = [(parts[y][x], (graph.name, y, x)) for y, x in near]
-            return blended, parts[row][column], [list(one) for one in seen]
+            near = neighbors(parts, row, column)
+            return blended, parts[row][column], [[parts[y][x], (graph.name, y, x)] for y, x in near]
 
-        shape_of = lambda part: part.own_shape + colors  # noqa: E731
+        def shape_of(part: Part) -> tuple[int, ...]:
+            return part.own_shape + colors
+
         return {"restored": graph.array("in_focus", parts, task_of, np.float32, shape_of)}
 
     restored = planes.each(of_plane)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
@@ -132,8 +133,8 @@ class Job:
         """
 
         def submit(client: Client) -> list[Any]:
-            first = enumerate(rows)
-            return [one for number, row in first for one in client.compute(row, priority=-number)]
+            futures = (client.compute(row, priority=-number) for number, row in enumerate(rows))
+            return [*chain(*futures)]
 
         return cls(submit, done, divided=True)
 

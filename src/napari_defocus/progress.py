@@ -1,5 +1,6 @@
 """How long-running functions say how far they are, and how they are stopped."""
 
+import math
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
@@ -26,3 +27,17 @@ def within(progress: Progress, start: float, stop: float, name: str | None = Non
         progress(name or step, start + (stop - start) * done)
 
     return report
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that people would say it in, rounded up.
+
+    Examples
+    --------
+    >>> duration(9.2), duration(200), duration(9000)
+    ('10 s', '4 min', '2 h 30 min')
+    """
+    if seconds <= 60:
+        return f"{math.ceil(seconds)} s"
+    minutes = math.ceil(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 
 from napari_defocus.lazy_arrays import Carried
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
-from napari_defocus.progress import Progress, within
-from napari_defocus.settings import MapSettings, MaskSettings
-
-BLOCK = 1024
-"""px of a part's side."""
+from napari_defocus.progress import Progress, duration, within
+from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 _NOISE_SHARE, _WRITTEN_SHARE = 0.04, 0.97
 _TOLD_FROM = 0.05
@@ -112,7 +109,7 @@ def _candidates(work: PartByPart, progress: Progress) -> Any:
         window=settings.window,
         stride=settings.stride,
         mode=settings.mode,
-        block_size=BLOCK,
+        block_size=BLOCK_SIZE,
         **light,
     )
 
@@ -125,7 +122,7 @@ def as_dask(image: Any, axes: str) -> Any:
 
     if is_lazy(image):
         return image
-    sides = {"y": BLOCK, "x": BLOCK, "s": -1}
+    sides = {"y": BLOCK_SIZE, "x": BLOCK_SIZE, "s": -1}
     return da.from_array(image, chunks=tuple(sides.get(a, 1) for a in axes), name=False)
 
 
@@ -141,11 +138,11 @@ def _found(work: PartByPart, candidates: Any) -> dict[str, Any]:
         confidence=work.blur_map and work.confidence,
         mask=work.mask,
     )
-    chunks = (1,) * len(candidates.plane_shape) + (BLOCK, BLOCK)
+    chunks = (1,) * len(candidates.plane_shape) + (BLOCK_SIZE, BLOCK_SIZE)
     seeds = None if work.seeds is None else da.from_array(work.seeds, chunks=chunks, name=False)
     found: dict[str, Any] = candidates.measure(wanted, seeds)
     if work.inside is not None:
-        inside = da.from_array(work.inside, chunks=BLOCK, name=False)
+        inside = da.from_array(work.inside, chunks=BLOCK_SIZE, name=False)
         for name in {"confidence", "mask"} & set(found):
             found[name] = found[name] * inside.astype(found[name].dtype)
     return found
@@ -157,23 +154,7 @@ def with_time_left(progress: Progress, clock: Callable[[], float] = time.monoton
 
     def report(step: str, done: float) -> None:
         passed = clock() - begun
-        left = f", {in_words(passed * (1 - done) / done)} left" if done > _TOLD_FROM else ""
+        left = f", {duration(passed * (1 - done) / done)} left" if done > _TOLD_FROM else ""
         progress(step + left, done)
 
     return report
-
-
-def in_words(seconds: float) -> str:
-    """Return a duration as people say it.
-
-    Examples
-    --------
-    >>> in_words(8), in_words(100), in_words(9000)
-    ('less than a minute', 'about 2 min', 'about 2 h 30 min')
-    """
-    minutes = round(seconds / 60)
-    if seconds < 60:
-        return "less than a minute"
-    if minutes < 60:
-        return f"about {minutes} min"
-    return f"about {minutes // 60} h {minutes % 60} min"
