@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from napari.layers import Labels
@@ -29,6 +29,7 @@ from napari_defocus.widgets.results import (
     METADATA_KEY,
     PLANES,
     Results,
+    told_of_noise,
 )
 from napari_defocus.widgets.seeds import seeds_of_plane
 from napari_defocus.widgets.stored_parts import PartByPart, measure_into
@@ -148,16 +149,12 @@ class LargeAnalysis:
             return self.plane.index
         return tuple(slice(None) if isinstance(at, int) else at for at in self.plane.index)
 
-    def _sliced(self) -> list[int]:
-        """Return which axes of the layer are those of planes."""
-        return [axis for axis, at in enumerate(self.plane.index) if isinstance(at, int)]
-
     def _letters(self) -> str:
         """Return a letter for each axis of what is wanted, but for colours."""
         labels, ndim = self.plane.placement["axis_labels"], len(self.plane.index)
         if not self.all_planes:
             return "yx"
-        return letters_of(labels, self._sliced(), ndim)
+        return letters_of(labels, self.plane.sliders, ndim)
 
     def _stored(self) -> str:
         """Return the letters in the order of the results: planes first."""
@@ -165,13 +162,13 @@ class LargeAnalysis:
 
     def _shape(self) -> tuple[int, ...]:
         """Return the shape of the results, planes first."""
-        planes = [self.plane.data.shape[axis] for axis in self._sliced()] * self.all_planes
+        planes = [self.plane.data.shape[axis] for axis in self.plane.sliders] * self.all_planes
         return (*(int(n) for n in planes), *self.plane.shape)
 
     def _seeds(self) -> NDArray[np.integer] | None:
         if self.seeds is None or self.mask is None:
             return None
-        count = len(self._sliced()) * self.all_planes
+        count = len(self.plane.sliders) * self.all_planes
         planes = [
             seeds_of_plane(self.seeds, self._at(position)).values
             for position in np.ndindex(self._shape()[:count])
@@ -179,16 +176,9 @@ class LargeAnalysis:
         return np.stack(planes).reshape(self._shape())
 
     def _at(self, position: tuple[int, ...]) -> Plane:
-        if not self.all_planes:
-            return self.plane
-        steps = iter(position)
-        index = self.plane.index
-        return self.plane.at(tuple(next(steps) if isinstance(at, int) else at for at in index))
+        return self.plane.at_position(position) if self.all_planes else self.plane
 
     def _new_store(self, name: str) -> OmeZarrWriter:
-        settings = asdict(self.estimation)
-        if name == "mask" and self.mask is not None:
-            settings |= asdict(self.mask)
         own = dict(zip(self._letters(), self._own_axes(), strict=True))
         return self.place.new_store(
             _RESULTS[name],
@@ -196,12 +186,13 @@ class LargeAnalysis:
             axes={letter: own[letter] for letter in self._stored()},
             shape=self._shape(),
             dtype=_DTYPES[name],
-            settings=settings,
+            estimation=self.estimation,
+            mask=self.mask,
         )
 
     def _own_axes(self) -> list[int]:
         """Return which axes of the layer the results have."""
-        sliced = [] if self.all_planes else self._sliced()
+        sliced = [] if self.all_planes else self.plane.sliders
         return [axis for axis in range(len(self.plane.index)) if axis not in sliced]
 
     def _results(self, writers: dict[str, OmeZarrWriter], noise: NDArray[np.float64]) -> Results:
@@ -211,7 +202,7 @@ class LargeAnalysis:
             layer = self._layer(name, first, variance)
             if self.all_planes:
                 layer[1]["metadata"][METADATA_KEY][PLANES] = {
-                    "axes": self._sliced(),
+                    "axes": self.plane.sliders,
                     "noise_variances": noise.ravel().tolist(),
                     "not analysed": {},
                 }
@@ -231,11 +222,8 @@ class LargeAnalysis:
         return in_focus_layer(plane, none, self.mask, self.estimation, variance, seeds)
 
     def _summary(self, noise: NDArray[np.float64], layers: list[LayerDataTuple]) -> str:
-        how = "found" if self.estimation.noise_variance is None else "given"
-        low, high = float(noise.min()), float(noise.max())
-        span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
         lines = [f"{noise.size} planes"] * (noise.size > 1)
-        lines.append(f"Noise variance {span} ({how})")
+        lines.append(told_of_noise(self.estimation.noise_variance, noise.ravel()))
         if self.blur_map and self.confidence:
             data, keywords, _ = layers[1]
             smallest = data[-1] if keywords.get("multiscale") else data

@@ -151,6 +151,16 @@ class Plane:
         """Whether it is less than the whole plane."""
         return self.shape != self.whole_shape
 
+    @property
+    def sliders(self) -> list[int]:
+        """Which axes of the layer are not displayed: planes lie along them."""
+        return [axis for axis, at in enumerate(self.index) if isinstance(at, int)]
+
+    def at_position(self, position: tuple[int, ...]) -> Self:
+        """Return the plane at another position of the sliders."""
+        steps = iter(position)
+        return self.at(tuple(next(steps) if isinstance(at, int) else at for at in self.index))
+
     def at(self, index: tuple[int | slice, ...]) -> Self:
         """Return what another index picks out of the same layer, lying where that lies."""
         offset = np.subtract(corner(index), corner(self.index))
@@ -187,8 +197,7 @@ class Plane:
 
     def expanded(self, result: NDArray[Any]) -> NDArray[Any]:
         """Return a result of the plane's height and width with the layer's number of axes."""
-        sliced = [axis for axis, at in enumerate(self.index) if isinstance(at, int)]
-        return np.expand_dims(result, tuple(sliced))
+        return np.expand_dims(result, tuple(self.sliders))
 
     def is_current(self, layers: LayerList) -> bool:
         """Tell whether the layer is still in the list, with the data that were read."""

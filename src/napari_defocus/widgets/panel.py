@@ -41,6 +41,7 @@ from napari_defocus.widgets.results import (
     Results,
     layer_of_result,
     made_by_us,
+    told_of_noise,
 )
 from napari_defocus.widgets.seeds import Seeds, SeedsWatch, add_seeds_layer, shown_seeds
 from napari_defocus.widgets.settings_form import SettingsForm
@@ -453,8 +454,7 @@ class DefocusPanel(ImagePanel):
 
 def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
     made = results[-1][1]["metadata"][METADATA_KEY]
-    how = "found" if made["settings"]["noise_variance"] is None else "given"
-    lines = [f"Noise variance {made['noise_variance']:.1e} ({how})"]
+    lines = [told_of_noise(made["settings"]["noise_variance"], [made["noise_variance"]])]
     if confidence is not None:
         share = (confidence >= CONFIDENT).mean()
         lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")

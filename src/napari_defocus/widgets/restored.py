@@ -15,7 +15,13 @@ from napari_defocus.widgets.estimation import Picture
 from napari_defocus.widgets.kept import KeptWork, fingerprint
 from napari_defocus.widgets.layers import Plane
 from napari_defocus.widgets.map_source import BlurMap, MapSource
-from napari_defocus.widgets.results import ALL_IN_FOCUS, REFOCUSED, Results, provenance
+from napari_defocus.widgets.results import (
+    ALL_IN_FOCUS,
+    REFOCUSED,
+    Results,
+    provenance,
+    told_of_noise,
+)
 
 Float32 = NDArray[np.float32]
 
@@ -100,8 +106,7 @@ class Restoration:
 
     def summary(self, made: Restored) -> str:
         """Return what there is to say about what was made."""
-        how = "given" if self.settings.noise_variance is not None else "found"
-        lines = [f"Noise variance {made.noise_variance:.1e} ({how})"]
+        lines = [told_of_noise(self.settings.noise_variance, [made.noise_variance])]
         confidence = made.blur_map.confidence
         if confidence is not None:
             share = (confidence >= CONFIDENT).mean()

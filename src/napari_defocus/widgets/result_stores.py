@@ -12,7 +12,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from itertools import count
 from pathlib import Path
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from napari_defocus import __version__
 from napari_defocus.lazy_arrays import lazy_array, need_large_extra
 from napari_defocus.ome_zarr_writer import OmeZarrWriter, new_ome_zarr
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.layers import NotAnalysableError, Plane
 from napari_defocus.widgets.result_layers import in_levels
 from napari_defocus.widgets.results import BLUR_MAP, IN_FOCUS, METADATA_KEY, STORE
@@ -55,7 +56,8 @@ class Place:
         axes: dict[str, int],
         shape: tuple[int, ...],
         dtype: Any,
-        settings: dict[str, Any],
+        estimation: MapSettings,
+        mask: MaskSettings | None,
     ) -> OmeZarrWriter:
         """Begin a store for a result, under a name that is free: nothing is replaced.
 
@@ -69,8 +71,9 @@ class Place:
             A letter each axis of the store, and which axis of the plane's layer it is.
         shape : tuple of int
         dtype : dtype-like
-        settings : dict
-            What makes it.
+        estimation : MapSettings
+        mask : MaskSettings or None
+            What makes it, the latter if it is a mask.
 
         Raises
         ------
@@ -78,6 +81,7 @@ class Place:
             If the folder is missing, or packages are.
         """
         placed = plane.placement
+        shaping = asdict(mask) if mask is not None and result == IN_FOCUS else {}
         units = {letter: str(placed["units"][axis]) for letter, axis in axes.items()}
         with said_to_users():
             need_large_extra()
@@ -93,7 +97,7 @@ class Place:
                     "quantity": result,
                     "unit": "px" if result == BLUR_MAP else "",
                     "source": plane.name,
-                    "settings": settings,
+                    "settings": asdict(estimation) | shaping,
                 },
                 labels=result == IN_FOCUS,
             )

@@ -3,6 +3,7 @@
 No Qt here, as in `layers`.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,6 +92,26 @@ def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any)
     if plane.is_part:
         made["region"] = described_region(plane)
     return {METADATA_KEY: made | more}
+
+
+def told_of_noise(given: float | None, variances: Collection[float]) -> str:
+    """Return a line that says the noise variance of planes, and where it comes from.
+
+    Parameters
+    ----------
+    given : float or None
+        The user's; None if it was found.
+    variances : collection of float
+        Of each plane.
+
+    Examples
+    --------
+    >>> told_of_noise(None, [1e-6, 2.5e-5]), told_of_noise(1e-6, [1e-6])
+    ('Noise variance 1.0e-06 to 2.5e-05 (found)', 'Noise variance 1.0e-06 (given)')
+    """
+    low, high = float(min(variances)), float(max(variances))
+    span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
+    return f"Noise variance {span} ({'found' if given is None else 'given'})"
 
 
 def described_region(plane: Plane) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -32,6 +32,7 @@ from napari_defocus.widgets.results import (
     METADATA_KEY,
     PLANES,
     Results,
+    told_of_noise,
 )
 from napari_defocus.widgets.seeds import seeds_of_plane
 
@@ -100,12 +101,7 @@ class StackAnalysis:
 
     def positions(self) -> Iterator[Position]:
         """Return where the planes are along the axes that are not displayed, in order."""
-        sliced = (
-            range(length)
-            for length, at in zip(self.plane.data.shape, self.plane.index, strict=False)
-            if isinstance(at, int)
-        )
-        return product(*sliced)
+        return product(*(range(self.plane.data.shape[axis]) for axis in self.plane.sliders))
 
     def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
         """Return the wanted results as layers that lie on the stack.
@@ -140,7 +136,7 @@ class StackAnalysis:
         found = _Found(values)
         positions = list(self.positions())
         for number, position in enumerate(positions):
-            plane = self.plane.at(_index_at(self.plane, position))
+            plane = self.plane.at_position(position)
             # Candidates of one plane may be as large as the results of many.
             memory = kept if plane == self.plane else KeptWork()
             reported = _of_one(progress, number, len(positions))
@@ -178,25 +174,23 @@ class StackAnalysis:
         return np.full(self.shape, _unknown(result), self._dtypes()[result])
 
     def _letters(self) -> str:
-        sliced = [axis for axis, at in enumerate(self.plane.index) if isinstance(at, int)]
-        return letters_of(self.plane.placement["axis_labels"], sliced, len(self.plane.index))
+        plane = self.plane
+        return letters_of(plane.placement["axis_labels"], plane.sliders, len(plane.index))
 
     def _new_store(self, result: str) -> OmeZarrWriter:
-        settings = asdict(self.estimation)
-        if result == IN_FOCUS and self.mask is not None:
-            settings |= asdict(self.mask)
         return self.place.new_store(
             result,
             self.plane,
             axes=dict(zip(self._letters(), range(len(self.shape)), strict=True)),
             shape=self.shape,
             dtype=self._dtypes()[result],
-            settings=settings,
+            estimation=self.estimation,
+            mask=self.mask,
         )
 
     def _layers(self, found: _Found) -> list[LayerDataTuple]:
         """Return what was found as layers like those of one plane, lying where the first one is."""
-        first = self.plane.at(_index_at(self.plane, next(self.positions())))
+        first = self.plane.at_position(next(self.positions()))
         of_all = {
             "noise_variance": float(np.median(list(found.noise_variances.values()))),
             PLANES: self._told_of_planes(found),
@@ -213,19 +207,17 @@ class StackAnalysis:
         return layers
 
     def _told_of_planes(self, found: _Found) -> dict[str, Any]:
-        sliced = [axis for axis, at in enumerate(self.plane.index) if isinstance(at, int)]
         return {
-            "axes": sliced,
+            "axes": self.plane.sliders,
             "noise_variances": [found.noise_variances.get(at) for at in self.positions()],
             "not analysed": {str(_named(at)): why for at, why in found.refused.items()},
         }
 
     def _summary(self, found: _Found) -> str:
-        low, high = (f(found.noise_variances.values()) for f in (min, max))
-        how = "found" if self.estimation.noise_variance is None else "given"
-        span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
-        count = len(found.noise_variances)
-        lines = [f"{count} plane{'s' * (count != 1)}", f"Noise variance {span} ({how})"]
+        variances = list(found.noise_variances.values())
+        count = len(variances)
+        noise = told_of_noise(self.estimation.noise_variance, variances)
+        lines = [f"{count} plane{'s' * (count != 1)}", noise]
         if CONFIDENCE in found.values:
             share = found.share_sure()
             lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
@@ -235,8 +227,7 @@ class StackAnalysis:
 
 def may_be_large(plane: Plane, *, blur_map: bool, mask: bool) -> bool:
     """Tell whether results of all planes, a confidence among them, do not fit into memory."""
-    lengths = zip(plane.data.shape, plane.index, strict=False)
-    count = np.prod([length for length, at in lengths if isinstance(at, int)])
+    count = np.prod([plane.data.shape[axis] for axis in plane.sliders])
     return bool(count * np.prod(plane.shape) * (8 * blur_map + mask) > MOST_IN_MEMORY)
 
 
@@ -308,11 +299,6 @@ def _whole(plane: Plane) -> tuple[int | slice, ...]:
 
 def _named(position: Position) -> int | Position:
     return position[0] if len(position) == 1 else position
-
-
-def _index_at(plane: Plane, position: Position) -> tuple[int | slice, ...]:
-    steps = iter(position)
-    return tuple(next(steps) if isinstance(at, int) else at for at in plane.index)
 
 
 def _of_one(progress: Progress, number: int, count: int) -> Progress:
