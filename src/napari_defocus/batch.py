@@ -416,10 +416,17 @@ class _Batch:
 
     def _end(self, work: SourceWork) -> None:
         """Make the results of a source whole, now that each of its planes was tried."""
-        if work.has_stores and work.any_done:
-            task = FinishTask(work.targets, work.planes)
-            self.came_up.append(Job.call(finish, task, partial(self._ended, work)))
-        else:
+        targets = work.targets if work.has_stores and work.any_done else ()
+        errors: list[str | BaseException | None] = []
+
+        def ended(error: str | BaseException | None) -> None:
+            errors.append(error)
+            if len(errors) == len(targets):
+                self._ended(work, next((each for each in errors if each is not None), None))
+
+        for target in targets:
+            self.came_up.append(Job.call(finish, FinishTask(target, work.planes), ended))
+        if not targets:
             self._ended(work, None)
 
     def _ended(self, work: SourceWork, error: str | BaseException | None) -> None:

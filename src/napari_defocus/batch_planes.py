@@ -166,9 +166,9 @@ class PlaneTask:
 
 @dataclass(frozen=True)
 class FinishTask:
-    """The results of a source, of which every plane was tried."""
+    """A result of a source, of which every plane was tried."""
 
-    targets: tuple[Target, ...]
+    target: Target
     planes: tuple[Index, ...]
 
 
@@ -316,14 +316,13 @@ def _copy_unless_there(source: str, target: str) -> None:
 
 
 def finish(task: FinishTask) -> str | None:
-    """Make the results of a source whole; return why that failed, if it did.
+    """Make a result of a source whole; return why that failed, if it did.
 
     It may have been begun before, and killed anywhere. Planes that could not be measured are
     NaN; in masks, not in focus.
     """
     try:
-        for target in task.targets:
-            _finish_store(target, task.planes)
+        _finish_store(task.target, task.planes)
     except Exception as error:
         return reason(error)
     return None
