@@ -176,6 +176,19 @@ def test_plane_that_fails_is_nan_until_it_is_measured(stack, tmp_path, monkeypat
     assert contents(tmp_path / "out") == contents(calm.table.parent)
 
 
+def test_two_batches_at_once_do_not_meet_in_one_folder(tmp_path, photographs):
+    refused = []
+
+    def begin_another(step, done):
+        with pytest.raises(UnwritableResult, match="another batch is at work there"):
+            measure_batch(photographs, tmp_path / "out", settings=QUICK)
+        refused.append(step)
+
+    measure_batch(photographs, tmp_path / "out", settings=QUICK, progress=begin_another)
+    assert refused
+    assert measure_batch(photographs, tmp_path / "out", settings=QUICK).failed == 0
+
+
 def test_changed_pictures_and_other_settings_are_measured_again_only_by_force(
     photographs, tmp_path, measured
 ):

@@ -135,7 +135,8 @@ def measure_batch(
         If an input names nothing.
     UnwritableResult
         If the output cannot be written, holds what no batch made, or a batch that was made with
-        other settings or of other pictures, and `force` is not set; if a result is an input.
+        other settings or of other pictures, and `force` is not set; if a result is an input, or
+        another batch is at work in the folder.
     ValueError
         If a setting is beyond its range.
     ConnectionError
@@ -176,16 +177,16 @@ def measure_batch(
     found = compared_inputs(sources, folder, made_with)
     if not force:
         _refuse_changed(found, folder)
-    folder.begin(made_with, force=force)
     batch = _Batch(folder, plan, file_format, found, _Counter(progress))
-    with nullcontext(client) if client is not None else in_this_process() as lent:
+    lending = nullcontext(client) if client is not None else in_this_process()
+    with folder.begun(made_with, force=force), lending as lent:
         try:
             _check_workers(lent, folder)
             batch.run(lent)
         except (KeyboardInterrupt, Cancelled):
             batch.write_tables()
             raise
-    return batch.write_tables()
+        return batch.write_tables()
 
 
 # Before the work.

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
@@ -59,15 +60,20 @@ class BatchFolder:
         """Return the notes of a source."""
         return SourceNotes(self.notes / "sources" / name)
 
-    def begin(self, made_with: Facts, *, force: bool) -> None:
+    @contextmanager
+    def begun(self, made_with: Facts, *, force: bool) -> Iterator[None]:
         """Make the folders, or go on with those of the same plan; note the plan.
+
+        Meanwhile, no other batch gets in. It does when this process has ended, however it has.
 
         Raises
         ------
         UnwritableResult
             If something is there that no batch made, or a batch that was made with other
-            settings, and `force` is not set.
+            settings, and `force` is not set; if another batch is at work there.
         """
+        from filelock import FileLock, Timeout
+
         before = read_note(self.plan)
         if before is None:
             self._check_unused(force)
@@ -81,8 +87,16 @@ class BatchFolder:
                 folder.mkdir(exist_ok=True)
             except OSError as error:
                 raise UnwritableResult(f"cannot make {folder}: {error.strerror}") from error
-        self._remove_left_over()
-        write_note(self.plan, made_with)
+        try:
+            held = FileLock(self.notes / "lock").acquire(blocking=False)
+        except Timeout as error:
+            raise UnwritableResult(
+                f"cannot write into {self.path}: another batch is at work there"
+            ) from error
+        with held:
+            self._remove_left_over()
+            write_note(self.plan, made_with)
+            yield
 
     def _check_unused(self, force: bool) -> None:
         if self.path.exists() and not self.path.is_dir():

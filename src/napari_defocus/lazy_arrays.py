@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 LEAST_SIDE = 1024
 """px that a block of a lazy array has at least, if its file has smaller tiles or strips."""
 
-_PACKAGES_OF_EXTRA = ("dask", "zarr", "ome_zarr_models")
+_PACKAGES_OF_EXTRA = ("dask", "filelock", "zarr", "ome_zarr_models")
 
 
 class RegionReader(Protocol):
