@@ -40,7 +40,7 @@ class Page(HTMLParser):
 
 def main(folder):
     """Print all faults; return 1 if there are any."""
-    pages = {path.resolve(): Page(path) for path in sorted(folder.rglob("*.html"))}
+    pages = {path.resolve(): Page(path) for path in pages_in(folder)}
     faults = [
         f"{path.relative_to(folder.resolve())}: {fault}"
         for path, page in pages.items()
@@ -54,6 +54,11 @@ def main(folder):
     ]
     print("\n".join(faults) or f"{len(pages)} pages and README.md: every link leads somewhere")
     return 1 if faults else 0
+
+
+def pages_in(folder):
+    """Return the pages, without the theme's templates."""
+    return sorted(path for path in folder.rglob("*.html") if "_static" not in path.parts)
 
 
 def faults_of(path, page, pages):

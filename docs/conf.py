@@ -38,6 +38,7 @@ suppress_warnings = ["config.cache"]  # the gallery's scraper is a function
 
 default_role = "public-name"
 autosummary_generate = True
+toc_object_entries_show_parents = "hide"
 autodoc_typehints = "none"  # numpydoc's sections say them, in words
 numpydoc_show_class_members = False
 numpydoc_validation_checks: set[str] = set()
@@ -81,5 +82,6 @@ sphinx_gallery_conf = {
     "reset_modules": ("matplotlib", "figure_style.use"),
     "show_memory": False,
     "show_signature": False,
+    "write_computation_times": False,  # their pages load scripts from elsewhere
     "thumbnail_size": (400, 280),
 }

@@ -21,8 +21,10 @@ from napari_defocus import estimate_candidates, label_blur_map, segment_in_focus
 
 # The folder of this script is the current one while the documentation is built.
 photographs = Path("../photographs")
+brushes = imageio.imread(files("napari_defocus.samples") / "brushes.jpg")
+brushes = brushes.reshape(354, 2, 450, 2, 3).mean(axis=(1, 3))
 pictures = {
-    "brushes": imageio.imread(files("napari_defocus.samples") / "brushes.jpg"),
+    "brushes, at half of their size": brushes.astype(np.uint8),
     "marigold": imageio.imread(photographs / "marigold.jpg"),
     "cat": chelsea(),
 }
@@ -42,7 +44,7 @@ for axes in grid.flat:
 figure.colorbar(shown, ax=grid[:, 1], label="radius (px)", location="bottom", shrink=0.9, pad=0.02)
 
 # %%
-# Look closely, they are not all right. The corner at the top right of the brushes and the cat's
+# Look closely, they are not all right. The handles on the right of the brushes and the cat's
 # eyes have hardly any texture; the marigold's petals are one colour with a soft shade. The
 # confidence says so, see :ref:`sphx_glr_examples_limits_plot_flat.py`, and seeds correct a mask,
 # see :ref:`sphx_glr_examples_parameters_plot_mask.py`.

@@ -40,8 +40,8 @@ for each, (name, family) in zip(axes, families.items(), strict=True):
 # The same ramp from 2 to 6 px, seen by each lens, and measured as if it was a disc and with its own
 # family. A Gaussian's scale is a standard deviation, half of the radius of a disc that is as wide.
 
-sharp = gravel()[:400, :400].reshape(200, 2, 200, 2).mean(axis=(1, 3)) / 255
-truth = np.broadcast_to(np.linspace(2, 6, 200), (200, 200))
+sharp = gravel()[:320, :320].reshape(160, 2, 160, 2).mean(axis=(1, 3)) / 255
+truth = np.broadcast_to(np.linspace(2, 6, 160), (160, 160))
 
 seen = {}
 for name, family in families.items():
