@@ -35,4 +35,4 @@ axes[2].legend()
 
 # %%
 # What is left of it in the default: bends and narrow valleys of the blur are flattened by up to a
-# few tenths of a px, see the steep bumps of :ref:`sphx_glr_examples_parameters_plot_mode.py`.
+# few tenths of a px, see the steep bumps of :ref:`sphx_glr_examples_parameters_plot_6_mode.py`.

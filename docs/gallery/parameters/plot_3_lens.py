@@ -60,7 +60,7 @@ print(compare_psf(seen["Annulus(0.5)"], list(families.values())))
 # **Largest radius.** Raise it for pictures that are blurred by more, and the window with it, to
 # about five times that. It works where the picture has coarse detail, too, as photographs do. On
 # fine textures, such as the gravel above, nothing is left of them behind a blur of more than 8 px,
-# and a larger domain only makes more mistakes. See :ref:`sphx_glr_examples_limits_plot_beyond.py`.
+# and a larger domain only makes more mistakes. See :ref:`sphx_glr_examples_limits_plot_5_beyond.py`.
 
 photograph = camera().reshape(256, 2, 256, 2).mean(axis=(1, 3)) / 255
 wide = np.broadcast_to(np.linspace(2, 14, 256), (256, 256))
