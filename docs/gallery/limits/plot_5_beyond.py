@@ -42,4 +42,5 @@ axes[0].legend()
 
 # %%
 # The confidence is a probability under the model, of which the largest radius is a part. If you can
-# see that something is blurred by more, say so: :ref:`sphx_glr_examples_parameters_plot_3_lens.py`.
+# see that something is blurred by more, scale the picture down:
+# :ref:`sphx_glr_examples_parameters_plot_3_lens.py`.
