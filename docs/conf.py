@@ -37,6 +37,7 @@ nitpicky = True
 suppress_warnings = ["config.cache"]  # the gallery's scraper is a function
 
 default_role = "public-name"
+highlight_language = "none"
 autosummary_generate = True
 toc_object_entries_show_parents = "hide"
 autodoc_typehints = "none"  # numpydoc's sections say them, in words
@@ -56,7 +57,7 @@ html_show_sourcelink = False
 html_copy_source = False
 html_show_copyright = False
 html_show_sphinx = False
-html_sidebars = {"changelog": [], "architecture": [], "guide": [], "readme": [], "start": []}
+html_sidebars = {"start": []}
 html_theme_options = {
     "logo": {"text": "napari-defocus"},
     "navbar_end": ["theme-switcher"],
