@@ -23,6 +23,7 @@ extensions = [
     "mathml",
     "public_names",
     "readme_links",
+    "stale_pages",
     "terminal_reference",
 ]
 root_doc = "index"
