@@ -1,4 +1,4 @@
-"""What a developer runs: ``python3 tasks.py demo``, ``test [pytest arguments]``, ``lint``.
+"""What a developer runs: ``python3 tasks.py`` and one of ``demo``, ``test``, ``lint``, ``docs``.
 
 Needs nothing but Python; everything else is installed into .venv beside this file.
 """
@@ -27,7 +27,10 @@ OLDEST_PIP = (25, 1)  # the first one that knows --group
 PACKAGES_OF = {
     "demo": ["-e", "."],
     "development": ["-e", ".", "--group", "test", "--group", "lint"],
+    "docs": ["-e", ".", "--group", "docs"],
 }
+
+CONTAINED_IN = {"demo": ("development", "docs")}
 
 PACKAGE_OF_PROGRAM = {"Xvfb": "xvfb", "xauth": "xauth"}
 
@@ -58,7 +61,7 @@ PACKAGES_WITHOUT_LIBRARY = ["libgl1-mesa-dri"]
 
 
 def main(arguments):
-    tasks = {"demo": demo, "test": test, "lint": lint}
+    tasks = {"demo": demo, "test": test, "lint": lint, "docs": docs}
     if not arguments or arguments[0] not in tasks:
         sys.exit(f"usage: python3 tasks.py {{{'|'.join(tasks)}}} [arguments]")
     os.chdir(ROOT)
@@ -83,6 +86,15 @@ def lint(_arguments):
     return max([call(PYTHON, "-m", *check) for check in checks])
 
 
+def docs(arguments):
+    """Build the documentation into docs/_build/html; every warning is an error."""
+    install("docs")
+    pages = Path("docs", "_build", "html")
+    strictly = "--fail-on-warning", "--keep-going", "--quiet"
+    failed = call(PYTHON, "-m", "sphinx", *strictly, *arguments, "docs", pages)
+    return failed or call(PYTHON, Path("docs", "check_links.py"), pages)
+
+
 def call(*command):
     sys.stdout.flush()
     return subprocess.call(command)
@@ -92,7 +104,7 @@ def install(packages):
     """Make .venv hold what is asked for; costs nothing if it does already."""
     make_venv()
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + bytes(ROOT)).hexdigest()
-    if any(stamp(name) == wanted for name in {packages, "development"}):
+    if any(stamp(name) == wanted for name in {packages, *CONTAINED_IN.get(packages, ())}):
         return
     print(f"Installing into {VENV.name}; the first time this takes minutes.", flush=True)
     stamp_path(packages).unlink(missing_ok=True)

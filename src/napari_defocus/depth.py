@@ -24,7 +24,7 @@ _ROUNDING = float(np.finfo(np.float32).eps)
 class ThinLens:
     """An ideal lens, and how fine its picture is sampled.
 
-    A point at the distance d has the blur radius r = K |d - s| / d, in px, if the plane at the
+    A point at the distance d has the blur radius ``r = K |d - s| / d``, in px, if the plane at the
     distance s is in focus. With the focal length f, the f-number N and the pixel pitch p,
     K = f^2 / (2 N p (s - f)), all lengths in one unit; with the focus at infinity,
     r = f^2 / (2 N p d). A real lens has its distances from planes inside of it, a little apart
@@ -234,7 +234,7 @@ def depth_from_blur(
 
 
 def blur_from_depth(depth: ArrayLike, lens: ThinLens, *, psf: PSFFamily = Disc()) -> Float32:
-    """Turn distance into blur, for a thin lens: r = K |d - s| / d, see `ThinLens`.
+    """Turn distance into blur, for a thin lens: ``r = K |d - s| / d``, see `ThinLens`.
 
     Parameters
     ----------

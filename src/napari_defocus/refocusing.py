@@ -69,7 +69,7 @@ def change_focus(
     things hide farther ones, and what they hid before is filled from around. The same is done
     with the old radii, and what is seen in the picture but not in that, such as noise, fine
     texture and the light of highlights, is added: blurred by sqrt(r'^2 - r^2) where the blur
-    grows, reduced by |r' / r| where it shrinks. So nothing changes where the radius stays, and
+    grows, reduced by ``|r' / r|`` where it shrinks. So nothing changes where the radius stays, and
     where it grows, faults of the all-in-focus picture hardly show. Where it shrinks, they do.
 
     Parameters

@@ -98,7 +98,7 @@ def restore_all_in_focus(
 ) -> Float32:
     """Take the blur of a map away: minimise (19).
 
-    sum_x w_x |(h_x * f)[x] - g[x]|^2 + lambda sum_x |grad f[x]|, the total variation over both
+    ``sum_x w_x |(h_x * f)[x] - g[x]|^2 + lambda sum_x |grad f[x]|``, the total variation over both
     directions and all channels together. With an exact map, f is as good as the data allow. An
     estimated one is best softened, because too large a radius makes rings: give
     ``cautious_blur_map(candidates, blur_map)`` instead of the map, and its `confidence`.

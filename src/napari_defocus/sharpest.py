@@ -100,11 +100,11 @@ def sharpest_plane(
 ) -> SharpestPlane:
     """Find where each pixel of a stack is in focus, and put the sharpest pixels together.
 
-    The planes are of one scene, at equal steps of the focus: a place in focus at z0 is blurred
-    by a radius of k |z - z0| px in plane z. How the local power of each place changes from plane
-    to plane gives k, and z0 to a small part of a plane, see `napari_defocus.best_focus`. The
-    positions are made coherent as a blur map is, see `label_blur_map`, and follow the picture's
-    edges where they jump; where there is no texture, they are carried in from around.
+    The planes are of one scene, at equal steps of the focus: a place in focus at z0 is blurred by a
+    radius of ``k |z - z0|`` px in plane z. How the local power of each place changes from plane to
+    plane gives k, and z0 to a small part of a plane, see `napari_defocus.best_focus`. The positions
+    are made coherent as a blur map is, see `label_blur_map`, and follow the picture's edges where
+    they jump; where there is no texture, they are carried in from around.
 
     Planes are read one at a time, two or three times each, and never all at once.
 
