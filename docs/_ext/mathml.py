@@ -6,11 +6,12 @@ from html import escape
 from latex2mathml.converter import convert
 
 TAG = re.compile(r"\\tag\{(.*?)\}")
+COMMAND = re.compile(r"\\[a-z]+")
 
 
 def inline_math(translator, node):
     """Write an equation within a line."""
-    translator.body.append(convert(node.astext()))
+    translator.body.append(drawn(node.astext()))
     raise _done()
 
 
@@ -19,9 +20,17 @@ def display_math(translator, node):
     latex = node.astext()
     found = TAG.search(latex)
     number = f'<span class="equation-number">({escape(found[1])})</span>' if found else ""
-    drawn = convert(TAG.sub("", latex).strip(), display="block")
-    translator.body.append(f'<div class="equation">{drawn}{number}</div>\n')
+    equation = drawn(TAG.sub("", latex).strip(), display="block")
+    translator.body.append(f'<div class="equation">{equation}{number}</div>\n')
     raise _done()
+
+
+def drawn(latex, display="inline"):
+    r"""Return an equation as MathML; a command that is not known would be there as text."""
+    found = convert(latex, display=display)
+    if unknown := COMMAND.search(found):
+        raise ValueError(f"the equation {latex} has {unknown[0]}, which cannot be drawn")
+    return found
 
 
 def _done():
