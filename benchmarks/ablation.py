@@ -17,7 +17,6 @@ from peers import luminance
 from pictures import at_windows, middle, ramp
 from record import Number, Record
 from scenes import Group, Picture, Scenes, eight_bits
-from skimage.restoration import estimate_sigma
 
 from napari_defocus import (
     estimate_candidates,
@@ -37,7 +36,9 @@ from napari_defocus.spectrum import LABEL_STEP, spectrum_table
 DEFAULT = "everything (the default)"
 PAPERS_NOISE = 1e-4
 NO_COLORS = 1e3
+NORMAL_MEDIAN = 0.6745
 NOISE = 1e-5
+WITH_FLATS = "ramp, camera, wall and sky"
 SEARCHED, SEARCHED_SIDE = 3, 150
 SHOT_GAIN, READ_VARIANCE = 4e-4, 1e-6
 
@@ -77,8 +78,12 @@ class Step:
 
 
 def wavelet_noise(picture: np.ndarray) -> float:
-    """Estimate the noise variance as the paper's readers do, from the finest wavelets."""
-    return float(estimate_sigma(luminance(picture)) ** 2)
+    """Estimate the noise variance from the finest diagonal Haar wavelets (Donoho, Johnstone)."""
+    luma = luminance(picture)
+    height, width = (length // 2 * 2 for length in luma.shape)
+    even, odd = luma[:height:2, :width], luma[1:height:2, :width]
+    diagonal = (even[:, ::2] - even[:, 1::2] - odd[:, ::2] + odd[:, 1::2]) / 2
+    return float((np.median(np.abs(diagonal)) / NORMAL_MEDIAN) ** 2)
 
 
 def one_gradient(*arguments):

@@ -7,10 +7,10 @@ from ablation import DEFAULT, EDGES, MASK, STEPS
 from peers import SCORES
 from record import OURS, PAPER, Number, Record, best_methods, table, verdict_on
 
+PARTS = ("accuracy", "photographs", "energy", "restoration", "sizes")
 METHODS = (OURS, PAPER, *SCORES)
 _NOT_IN_TABLE = ("without a step", "with an option", "search for", "photograph ", "uniform, ")
 _KEPT_UNIFORM = "uniform, noise"
-_AT_THE_SAME_COST = ("time", "memory")
 
 
 def in_main_table(what: str, measure: str) -> bool:
@@ -32,23 +32,33 @@ def peers_page(record: Record, plots: Iterable[str]) -> str:
     }
     images = [f"![{pictures[name]}]({name})" for name in plots]
     return "\n\n".join(
-        ["# Against peers", introduction(record), METHODS_TEXT, *images,
+        ["# Against peers", introduction(record, PARTS), METHODS_TEXT, *images,
          "## Where another is better", where_others_win(record), "## All numbers", MEASURES_TEXT,
          main_table(record)]
     ) + "\n"  # fmt: skip
 
 
-def introduction(record: Record) -> str:
-    made = record.made
+def introduction(record: Record, parts: Iterable[str]) -> str:
+    """Say when, where and with what some parts were measured; those of one run in one paragraph."""
+    runs: dict[str, list[str]] = {}
+    for part in parts:
+        if part in record.made:
+            runs.setdefault(_circumstances(record.made[part]), []).append(
+                f"{part} in {record.made[part]['minutes']} minutes at a load of "
+                f"{record.made[part]['load at the start']} to "
+                f"{record.made[part]['load at the end']}"
+            )
+    paragraphs = [f"{run} Measured: {'; '.join(found)}." for run, found in runs.items()]
+    return "\n\n".join(paragraphs) + "\n\nAll single values are in `numbers.json`."
+
+
+def _circumstances(made: dict) -> str:
     versions = ", ".join(f"{name} {number}" for name, number in made["versions"].items())
-    names = "{} (from {})".format(", ".join(made["pictures"]), made["pictures from"])
     return (
         f"Made by `python benchmarks/run_all.py{' --quick' if made['quick'] else ''}` on "
-        f"{made['date']}, on {made['processor']}, {made['cores']} cores, in {made['minutes']} "
-        f"minutes; load {made['load at the start']} at the start, {made['load at the end']} at the "
-        f"end. "
-        f"Python {made['python']}, {versions}. Sharp pictures: {names}; noise and layers of seed "
-        f"{made['seed']}. All single values are in `numbers.json`."
+        f"{made['date'].split()[0]}, on {made['processor']}, {made['cores']} cores. Python "
+        f"{made['python']}, {versions}, commit {made['commit']}. Sharp pictures: "
+        f"{', '.join(made['pictures'])} (from {made['pictures from']}), seed {made['seed']}."
     )
 
 
@@ -102,7 +112,8 @@ def surely_different(one: Number, other: Number) -> bool:
 def ablation_page(record: Record) -> str:
     """Return docs/measured/ablation.md."""
     return "\n\n".join(
-        ["# What each step gains", introduction(record), ABLATION_TEXT, ablation_table(record),
+        ["# What each step gains", introduction(record, ["ablation"]), ABLATION_TEXT,
+         ablation_table(record),
          "## The mask and the time", mask_table(record), "## Options, off by default",
          two_column_table(record, "with an option: "), "## The paper's own search", SEARCH_TEXT,
          table(record, [r for r in record.rows() if r[0].startswith("search for")],

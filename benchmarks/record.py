@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Self
@@ -35,6 +35,8 @@ class Number:
     better : {"lower", "higher", ""}
     kind : {"pictures", "runs"}
         Of pictures the mean counts, of runs the median.
+    part : str
+        Which part of run_all.py measured it; set when it is added.
     """
 
     what: str
@@ -44,6 +46,7 @@ class Number:
     unit: str = ""
     better: str = ""
     kind: str = "pictures"
+    part: str = ""
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -77,13 +80,29 @@ class Number:
 
 @dataclass
 class Record:
-    """All numbers of a run, and what made them."""
+    """All numbers, and what made those of each part.
 
-    made: dict[str, object]
+    Attributes
+    ----------
+    made : dict
+        By part: date, machine, versions, pictures, minutes and load.
+    numbers : list of Number
+    part : str
+        What is being measured.
+    """
+
+    made: dict[str, dict[str, object]]
     numbers: list[Number] = field(default_factory=list)
+    part: str = ""
 
     def add(self, *found: Number) -> None:
-        self.numbers += found
+        self.numbers += [replace(number, part=self.part) for number in found]
+
+    def keep_others_of(self, earlier: Self) -> None:
+        """Take the parts of an earlier record that are not in this one."""
+        missing = [part for part in earlier.made if part not in self.made]
+        self.made |= {part: earlier.made[part] for part in missing}
+        self.numbers += [number for number in earlier.numbers if number.part in missing]
 
     def row(self, what: str, measure: str) -> dict[str, Number]:
         return {n.method: n for n in self.numbers if (n.what, n.measure) == (what, measure)}
@@ -106,7 +125,7 @@ class Record:
     def read(cls, path: Path) -> Self:
         try:
             stored = json.loads(path.read_text())
-            names = ("what", "measure", "method", "unit", "better", "kind")
+            names = ("what", "measure", "method", "unit", "better", "kind", "part")
             numbers = [
                 Number(
                     **{name: n[name] for name in names},
@@ -116,7 +135,7 @@ class Record:
             ]
             return cls(stored["made"], numbers)
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise SystemExit(f"--compare is {path}; it takes the JSON of a run: {error}") from None
+            raise SystemExit(f"{path} is not the numbers.json of a run: {error}") from None
 
 
 def _rounded(value: float) -> float | None:
@@ -133,9 +152,14 @@ def circumstances(**settings: object) -> dict[str, object]:
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in PACKAGES},
         "commit": _commit(),
-        "load at the start": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "load at the start": load(),
         **settings,
     }
+
+
+def load() -> float | None:
+    """Return how many processes wanted to compute in the last minute."""
+    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
 
 
 def _processor() -> str:
@@ -238,9 +262,11 @@ def verdict_on(before: Number | None, after: Number) -> str:
 
 
 def _warnings(before: Record, after: Record) -> list[str]:
-    differ = [
-        name
-        for name in ("processor", "cores", "quick", "seed", "pictures", "photographs")
-        if before.made.get(name) != after.made.get(name)
-    ]
-    return [f"The two runs differ in: {', '.join(differ)}.", ""] if differ else []
+    names = ("processor", "cores", "quick", "seed", "pictures", "photographs")
+    differ = {
+        f"{part}: {name}"
+        for part in before.made.keys() & after.made.keys()
+        for name in names
+        if before.made[part].get(name) != after.made[part].get(name)
+    }
+    return [f"The two runs differ in {', '.join(sorted(differ))}.", ""] if differ else []

@@ -7,12 +7,14 @@ the energy of labels, restoration, time and memory, and what each step beyond th
 Prints one Markdown table. With --out, writes peers.md, ablation.md, their plots and numbers.json
 there: `--out docs/measured` brings the documentation up to date. With --compare, tells what became
 better or worse than in an earlier numbers.json, beyond the spread. All of it takes about 25 minutes
-on two cores, --quick 3; --only measures some parts. Needs `pip install --group bench`.
+on two cores, --quick 3; --only measures some parts, the others stay as they are in --out; with no
+part it writes the pages again. A part that fails is told at the end, and does not stop the others.
+Needs `pip install --group bench`.
 """
 
 import argparse
-import os
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +26,7 @@ from in_focus import measure_photographs
 from pages import ablation_page, main_table, peers_page
 from pictures import middle, photographs, whole_sharp_pictures
 from plots import drawn
-from record import Record, circumstances, compared
+from record import Record, circumstances, compared, load
 from restoration import as_floats, measure_restoration
 from scenes import groups
 from sizes import measure_sizes
@@ -32,6 +34,7 @@ from sizes import measure_sizes
 from napari_defocus.files import write_results
 
 PARTS = ("accuracy", "photographs", "energy", "restoration", "sizes", "ablation")
+NUMBERS = "numbers.json"
 QUICK_SOURCES = 2
 ENERGY_SIDE, QUICK_ENERGY_SIDE = 240, 120
 QUICK_PHOTOGRAPHS, ENERGY_PHOTOGRAPHS = 2, 4
@@ -43,29 +46,45 @@ def main() -> None:
     sources = whole_sharp_pictures(arguments.data)
     photos = photographs(arguments.photos)
     if arguments.quick:
-        sources = dict(list(sources.items())[:QUICK_SOURCES])
         photos = dict(list(photos.items())[:QUICK_PHOTOGRAPHS])
-    record = Record(
-        circumstances(
-            quick=arguments.quick,
-            seed=arguments.seed,
-            pictures=list(sources),
-            photographs=list(photos),
-            **{"pictures from": "--data" if arguments.data else "scikit-image"},
-        )
-    )
-    began = time.monotonic()
+    sources = dict(list(sources.items())[: arguments.pictures])
+    settings = {
+        "quick": arguments.quick,
+        "seed": arguments.seed,
+        "pictures": list(sources),
+        "photographs": list(photos),
+        "pictures from": "--data" if arguments.data else "scikit-image",
+    }
+    record, failed = Record({}), []
     for part, measure in measurements(sources, photos, record, arguments).items():
         if part in arguments.only:
-            measure()
-            print(f"-- {part}, {(time.monotonic() - began) / 60:.1f} min\n", flush=True)
-    record.made["minutes"] = round((time.monotonic() - began) / 60, 1)
-    record.made["load at the end"] = round(os.getloadavg()[0], 2)
+            if not succeeds(part, measure, record, settings):
+                failed.append(part)
+            elif arguments.out:
+                write_pages(record, arguments.out)
+    if arguments.out and not arguments.only:
+        write_pages(record, arguments.out)
     print(main_table(record))
-    if arguments.out:
-        write_pages(record, arguments.out, arguments.only)
     if before:
         print("\n" + compared(before, record))
+    if failed:
+        raise SystemExit(f"failed, see above: {', '.join(failed)}")
+
+
+def succeeds(part: str, measure: Callable[[], None], record: Record, settings: dict) -> bool:
+    """Measure a part; minutes of other parts shall not be lost because of it."""
+    began, made = time.monotonic(), circumstances(**settings)
+    record.part = part
+    try:
+        measure()
+    except Exception:
+        traceback.print_exc()
+        record.numbers = [number for number in record.numbers if number.part != part]
+        return False
+    minutes = round((time.monotonic() - began) / 60, 1)
+    record.made[part] = made | {"minutes": minutes, "load at the end": load()}
+    print(f"-- {part}, {minutes} min\n", flush=True)
+    return True
 
 
 def parsed_arguments() -> argparse.Namespace:
@@ -77,9 +96,16 @@ def parsed_arguments() -> argparse.Namespace:
     parser.add_argument("--photos", type=Path, help="folder of the outlined photographs")
     parser.add_argument("--compare", type=Path, help="numbers.json of an earlier run")
     parser.add_argument("--out", type=Path, help="folder for pages, plots and numbers.json")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="some parts")
+    parser.add_argument(
+        "--only", nargs="*", choices=PARTS, default=PARTS, help="some parts; none: pages"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of noise and layers")
+    parser.add_argument("--pictures", type=int, help="only so many of the sharp ones, from 2")
     arguments = parser.parse_args()
+    if arguments.quick and arguments.pictures is None:
+        arguments.pictures = QUICK_SOURCES
+    if arguments.pictures is not None and arguments.pictures < 2:
+        parser.error(f"--pictures is {arguments.pictures}; it takes a whole number from 2 up")
     beside = arguments.data and arguments.data.resolve().parent / "photos"
     if arguments.photos is None and beside and beside.is_dir():
         arguments.photos = beside
@@ -107,15 +133,19 @@ def measurements(
     }
 
 
-def write_pages(record: Record, folder: Path, parts: tuple[str, ...]) -> None:
-    """Write all pages and plots, whole or not at all; each only if it was measured."""
+def write_pages(record: Record, folder: Path) -> None:
+    """Write all pages and plots, whole or not at all; other parts stay as they are there."""
     folder.mkdir(parents=True, exist_ok=True)
+    earlier = folder / NUMBERS
+    record = Record(dict(record.made), list(record.numbers))
+    if earlier.exists():
+        record.keep_others_of(Record.read(earlier))
     plots = drawn(record)
     contents = {folder / name: content for name, content in plots.items()}
     contents[folder / "peers.md"] = peers_page(record, plots).encode()
-    if "ablation" in parts:
+    if "ablation" in record.made:
         contents[folder / "ablation.md"] = ablation_page(record).encode()
-    contents[folder / "numbers.json"] = record.as_json()
+    contents[earlier] = record.as_json()
     write_results(contents, force=True)
 
 

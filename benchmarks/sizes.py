@@ -50,8 +50,8 @@ def measure_sizes(record: Record, *, quick: bool) -> None:
 def plan(size: float, quick: bool) -> tuple[int, int]:
     """Return how many rounds of how many runs."""
     if quick:
-        return 1, 2
-    return (3, 3) if size <= 1 else (2, 1)
+        return 1, 2 if size < 1 else 1
+    return {0.25: (3, 2), 1: (2, 2), 4: (2, 1)}.get(size, (1, 1))
 
 
 class Timed:
