@@ -4,6 +4,7 @@ import io
 from collections.abc import Iterable
 
 import numpy as np
+from ablation import DEFAULT, STEPS
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from peers import SCORES
@@ -18,6 +19,8 @@ COLORS = {
 }
 METHODS = (OURS, PAPER, *SCORES)
 ERROR = "mean error"
+LEFT_OUT = "without a step: "
+RATIOS = (0.5, 0.7, 1, 1.5, 2, 3, 5, 10, 20)
 
 
 def drawn(record: Record) -> dict[str, bytes]:
@@ -26,6 +29,7 @@ def drawn(record: Record) -> dict[str, bytes]:
         "accuracy.png": accuracy_figure,
         "confidence.png": confidence_figure,
         "speed.png": speed_figure,
+        "steps.png": steps_figure,
     }
     figures = {name: make(record) for name, make in makers.items()}
     return {name: as_png(figure) for name, figure in figures.items() if figure is not None}
@@ -45,20 +49,23 @@ def accuracy_figure(record: Record) -> Figure | None:
     ]
     panels += [
         ("ramp, over the quality of JPEG", "ramp, JPEG "),
+        ("ramp by other lenses, seen as discs", "ramp, lens "),
         ("one radius everywhere, px", "uniform, "),
     ]
     if not names_after(record, "ramp, noise "):
         return None
-    figure = Figure(figsize=(10, 6), layout="constrained")
-    for axes, (title, start) in zip(figure.subplots(2, 3).flat, panels, strict=True):
+    figure = Figure(figsize=(12, 6), layout="constrained")
+    grid = figure.subplots(2, 4)
+    for axes, (title, start) in zip(grid.flat, panels, strict=False):
         draw_errors(axes, record, names_after(record, start), start)
         axes.set_title(title, fontsize=9)
         axes.set_ylim(0)
         axes.tick_params(labelsize=8)
-    figure.axes[0].set_ylabel("mean error, px", fontsize=9)
-    figure.axes[3].set_ylabel("mean error, px", fontsize=9)
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center",
-                  ncols=len(METHODS), fontsize=9, frameon=False)  # fmt: skip
+    for axes in grid[:, 0]:
+        axes.set_ylabel("mean error, px", fontsize=9)
+    grid[1, 1].tick_params("x", rotation=30)
+    grid[1, 3].set_axis_off()
+    grid[1, 3].legend(*grid[0, 0].get_legend_handles_labels(), loc="center", frameon=False)
     return figure
 
 
@@ -131,4 +138,31 @@ def speed_figure(record: Record) -> Figure | None:
         axes.minorticks_off()
         axes.set(xlabel="megapixels", ylabel=label)
     seconds.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def steps_figure(record: Record) -> Figure | None:
+    """Draw how many times the error is without each step, a dot for each kind of picture."""
+    whats = [what for what, measure in record.rows()
+             if what.startswith(LEFT_OUT) and measure == ERROR]  # fmt: skip
+    if not whats:
+        return None
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    axes = figure.subplots()
+    names = [step.name for step in STEPS[1:]]
+    for what in whats:
+        row = record.row(what, ERROR)
+        ratios = [row[name].value / row[DEFAULT].value for name in names]
+        axes.plot(ratios, range(len(names)), "o", markersize=5, alpha=0.8,
+                  label=what.removeprefix(LEFT_OUT))  # fmt: skip
+    axes.axvline(1, color="#bbbbbb", linewidth=1, zorder=0)
+    axes.set_xscale("log")
+    axes.set_xticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
+    axes.minorticks_off()
+    axes.set_yticks(range(len(names)), names)
+    axes.grid(axis="y", color="#eeeeee")
+    axes.set_axisbelow(True)
+    axes.invert_yaxis()
+    axes.set_xlabel("mean error, times that of everything together")
+    axes.legend(fontsize=8, frameon=False)
     return figure

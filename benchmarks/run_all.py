@@ -96,9 +96,7 @@ def parsed_arguments() -> argparse.Namespace:
     parser.add_argument("--photos", type=Path, help="folder of the outlined photographs")
     parser.add_argument("--compare", type=Path, help="numbers.json of an earlier run")
     parser.add_argument("--out", type=Path, help="folder for pages, plots and numbers.json")
-    parser.add_argument(
-        "--only", nargs="*", choices=PARTS, default=PARTS, help="some parts; none: pages"
-    )
+    parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS, help="some parts")
     parser.add_argument("--seed", type=int, default=0, help="of noise and layers")
     parser.add_argument("--pictures", type=int, help="only so many of the sharp ones, from 2")
     arguments = parser.parse_args()
