@@ -157,7 +157,7 @@ def measure_ablation(
     groups = [scenes.group(family, f"noise {NOISE:.0e}", NOISE) for family in scenes.families()] + [
         scenes.group("ramp", "JPEG 90", NOISE, quality=90)
     ]
-    for group in groups[::2] if quick else groups:
+    for group in groups[:3:2] if quick else groups:
         found: dict[tuple[str, str], list[float]] = defaultdict(list)
         for picture in group.make():
             first = timed_figures(STEPS[0], picture, group)

@@ -29,7 +29,7 @@ LARGEST = {"blur_effect": 1, PAPER: 4}
 """Megapixels above which a method would take minutes; others go up to the end."""
 
 STAGES = ("candidates", "labels", "confidence", "mask", "all in focus")
-RESTORED_UP_TO = 1
+RESTORED_UP_TO = 0.25
 SMALL = 120
 _KILOBYTES_A_MEGABYTE = 2**20 / 1000 if sys.platform == "darwin" else 1000
 
