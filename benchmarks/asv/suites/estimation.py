@@ -15,6 +15,7 @@ class Candidates:
 
     params = SIDES
     param_names = ("side",)
+    timeout = 300
 
     def setup(self, side: int) -> None:
         self.picture, _ = blurred(side)

@@ -14,6 +14,7 @@ class Labels:
 
     params = SIDES
     param_names = ("side",)
+    timeout = 300
 
     def setup(self, side: int) -> None:
         self.ready = ready(side)
