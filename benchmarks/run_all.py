@@ -37,7 +37,7 @@ PARTS = ("accuracy", "photographs", "energy", "restoration", "sizes", "ablation"
 NUMBERS = "numbers.json"
 QUICK_SOURCES = 2
 ENERGY_SIDE, QUICK_ENERGY_SIDE = 240, 120
-QUICK_PHOTOGRAPHS, ENERGY_PHOTOGRAPHS = 2, 4
+QUICK_PHOTOGRAPHS, ENERGY_PHOTOGRAPHS = 1, 4
 
 
 def main() -> None:

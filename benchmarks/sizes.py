@@ -25,7 +25,7 @@ from record import OURS, PAPER, Number, Record
 
 MEGAPIXELS = (0.25, 1, 4, 12)
 QUICK_MEGAPIXELS = (0.25, 1)
-LARGEST = {"blur_effect": 1, PAPER: 4}
+LARGEST = {"blur_effect": 1, PAPER: 1}
 """Megapixels above which a method would take minutes; others go up to the end."""
 
 STAGES = ("candidates", "labels", "confidence", "mask", "all in focus")
