@@ -63,7 +63,7 @@ def introduction(record: Record, parts: Iterable[str]) -> str:
             runs.setdefault(_circumstances(record.made[part]), []).append(
                 f"{part} in {record.made[part]['minutes']} minutes at a load of "
                 f"{record.made[part]['load at the start']} to "
-                f"{record.made[part]['load at the end']}"
+                f"{record.made[part]['load at the end']}, commit {record.made[part]['commit']}"
             )
     paragraphs = [f"{run} Measured: {'; '.join(found)}." for run, found in runs.items()]
     return "\n\n".join(paragraphs) + "\n\nAll single values are in `numbers.json`."
@@ -74,7 +74,7 @@ def _circumstances(made: dict) -> str:
     return (
         f"Made by `python benchmarks/run_all.py{' --quick' if made['quick'] else ''}` on "
         f"{made['date'].split()[0]}, on {made['processor']}, {made['cores']} cores. Python "
-        f"{made['python']}, {versions}, commit {made['commit']}. Sharp pictures: "
+        f"{made['python']}, {versions}. Sharp pictures: "
         f"{', '.join(made['pictures'])} (from {made['pictures from']}), seed {made['seed']}."
     )
 

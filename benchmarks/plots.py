@@ -7,6 +7,7 @@ import numpy as np
 from ablation import DEFAULT, STEPS
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 from peers import SCORES
 from record import OURS, PAPER, Record
 
@@ -135,6 +136,8 @@ def speed_figure(record: Record) -> Figure | None:
                             linewidth=2 if method == OURS else 1.2, label=method)  # fmt: skip
         axes.set_xticks([float(what.split()[0]) for what in sizes])
         axes.set_xticklabels([what.split()[0] for what in sizes])
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
         axes.set(xlabel="megapixels", ylabel=label)
     seconds.legend(fontsize=8, frameon=False)

@@ -7,6 +7,7 @@ import platform
 import subprocess
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Self
@@ -187,7 +188,9 @@ def _version(name: str) -> str:
         return "not installed"
 
 
+@cache
 def _commit() -> str:
+    """Ask git once: the pages that are written change the working tree."""
     try:
         here = Path(__file__).parent
         command = ["git", "describe", "--always", "--dirty"]
