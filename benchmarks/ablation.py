@@ -160,12 +160,13 @@ def measure_ablation(
     for group in groups[:3:2] if quick else groups:
         found: dict[tuple[str, str], list[float]] = defaultdict(list)
         for picture in group.make():
-            first = timed_figures(STEPS[0], picture, group)
-            for step in STEPS:
-                figures = timed_figures(step, picture, group) if step is not STEPS[0] else first
-                figures["time"] /= first["time"]
-                for measure, value in figures.items():
-                    found[measure, step.name].append(value)
+            timed_figures(STEPS[0], picture, group)  # compiled and read
+            figures = {step.name: timed_figures(step, picture, group) for step in STEPS}
+            seconds = figures[DEFAULT]["time"]
+            for step, values in figures.items():
+                values["time"] /= seconds
+                for measure, value in values.items():
+                    found[measure, step].append(value)
         for (measure, step), values in found.items():
             kind = ("", "lower", "runs") if measure == "time" else unit_of(measure)
             record.add(Number(f"without a step: {group.name}", measure, step, tuple(values), *kind))

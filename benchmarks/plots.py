@@ -121,7 +121,7 @@ def speed_figure(record: Record) -> Figure | None:
     sizes = [what for what, measure in record.rows() if measure == "time" and what.endswith(" MP")]
     if not sizes:
         return None
-    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+    figure = Figure(figsize=(8.4, 3.8), layout="constrained")
     seconds, memory = figure.subplots(1, 2)
     for axes, measure, label in (
         (seconds, "time", "seconds"),
@@ -140,7 +140,8 @@ def speed_figure(record: Record) -> Figure | None:
         axes.yaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
         axes.set(xlabel="megapixels", ylabel=label)
-    seconds.legend(fontsize=8, frameon=False)
+    figure.legend(*seconds.get_legend_handles_labels(), loc="outside lower center",
+                  ncols=len(METHODS), fontsize=8, frameon=False)  # fmt: skip
     return figure
 
 
