@@ -38,7 +38,7 @@ def drawn(record: Record) -> dict[str, bytes]:
 
 def as_png(figure: Figure) -> bytes:
     file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=110)
+    figure.savefig(file, format="png", dpi=100)
     return file.getvalue()
 
 
