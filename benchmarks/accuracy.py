@@ -1,74 +1,210 @@
-"""How far the blur map is from the truth, on pictures blurred by known maps.
+"""How far maps are from the truth on pictures of known blur, ours and those of peers.
 
-    python benchmarks/accuracy.py --data FOLDER_OF_SHARP_PICTURES
-
-Prints a Markdown table: for each family of maps and noise variance (of each channel), the mean
-over the pictures of the squared error (MSE, px^2), the absolute error (MAE, px) and the share of
-pixels within 0.5 px, for the map, for the global maximum of the likelihood alone, and for the
-best of the three candidates (which knows the truth); the latter two over the windows that have
-any. The picture's own blur adds to that of the map, which counts at 1 px and below.
+A part of run_all.py. Scores without a unit become px by the monotone map of least error that the
+truth of the other pictures of the same group gives, which is more than anybody has who uses them.
 """
 
-import argparse
-from pathlib import Path
+from collections import defaultdict
+from collections.abc import Iterable
 
 import numpy as np
-from pictures import at_windows, bumps, ramp, sharp_pictures, uniform
+from measures import (
+    RIGHT,
+    THRESHOLD,
+    MonotoneMap,
+    area_under_roc,
+    decided,
+    overlap,
+    rank_correlation,
+    share_right,
+)
+from peers import SCORES, scores
+from record import OURS, PAPER, Number, Record
+from scenes import Group, Picture
 
-from napari_defocus import estimate_candidates, label_blur_map, simulate_defocus
+from napari_defocus import (
+    confidence_map,
+    estimate_candidates,
+    label_blur_map,
+    segment_in_focus,
+)
+from napari_defocus.settings import CONFIDENT
 
-FAMILIES = {
-    "ramp": ramp(),
-    "bumps": bumps(),
-    **{f"disc {radius} px": uniform(radius) for radius in (1, 2, 3, 5, 7)},
+CONSTANT = "one radius for all"
+SAYS_NINE_TENTHS = 0.85, 0.95
+BINS = 10
+_FIT_EVERY = 3
+_RANK_EVERY = 2
+
+MEASURES = {
+    "mean error": ("px", "lower"),
+    "median error": ("px", "lower"),
+    "mean error where we are sure": ("px", "lower"),
+    "mean error at edges": ("px", "lower"),
+    "mean error elsewhere": ("px", "lower"),
+    "in focus, intersection over union": ("", "higher"),
+    "in focus, area under ROC": ("", "higher"),
+    "rank correlation": ("", "higher"),
+    "sure of": ("%", ""),
+    "right where 0.9 is stated": ("%", ""),
 }
 
 
-def main() -> None:
-    arguments = parsed_arguments()
-    pictures = sharp_pictures(arguments.data)
-    print(f"mode {arguments.mode}, stride {arguments.stride}; {', '.join(pictures)}\n")
-    print("| blur | noise | map MSE | MAE | within 0.5 | maximum MSE | MAE | within 0.5 "
-          "| best of 3 MSE | MAE | within 0.5 |")  # fmt: skip
-    print("|---" * 11 + "|")
-    for family, truth in FAMILIES.items():
-        for variance in arguments.noise:
-            rows = [scores(picture, truth, variance, arguments) for picture in pictures.values()]
-            if arguments.each:
-                for name, row in zip(pictures, rows, strict=True):
-                    print(table_row(f"{family}, {name}", variance, row))
-            print(table_row(family, variance, np.mean(rows, axis=0)), flush=True)
+def measure_accuracy(groups: Iterable[Group], record: Record) -> None:
+    """Add the numbers of each group, and the calibration of the confidence over them."""
+    bins: dict[str, np.ndarray] = defaultdict(lambda: np.zeros((BINS, 3)))
+    for group in groups:
+        pictures = list(group.make())
+        found = [everything_of(picture) for picture in pictures]
+        in_px(pictures, found)
+        record.add(*numbers_of_group(group, pictures, found))
+        if group.family == "uniform":
+            record.add(*numbers_by_radius(pictures, found))
+        for picture, maps in zip(pictures, found, strict=True):
+            bins[kind_of(group)] += calibration_bins(picture, maps)
+        print(f"{group.name}: {record.row(group.name, 'mean error')[OURS].shown()} px", flush=True)
+    record.add(*calibration_numbers(bins))
 
 
-def parsed_arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    shared = Path(__file__).parents[2] / "shared" / "data" / "sharp"
-    parser.add_argument("--data", type=Path, default=shared, help="folder of sharp pictures")
-    parser.add_argument("--mode", default="curve", choices=("curve", "paper"))
-    parser.add_argument("--stride", type=int, default=4)
-    parser.add_argument("--noise", type=float, nargs="+", default=[1e-6, 1e-4])
-    parser.add_argument("--each", action="store_true", help="a row for each picture too")
-    return parser.parse_args()
+def everything_of(picture: Picture) -> dict[str, np.ndarray]:
+    """Return maps, masks, confidence and scores of one picture, each (H, W)."""
+    candidates = estimate_candidates(picture.seen)
+    blur_map = label_blur_map(candidates, picture.seen)
+    plain = estimate_candidates(picture.seen, mode="paper")
+    return {
+        OURS: blur_map,
+        PAPER: label_blur_map(plain, picture.seen),
+        "confidence": confidence_map(candidates, blur_map),
+        "mask": segment_in_focus(candidates, picture.seen) == 1,
+        "mask of the paper": segment_in_focus(plain, picture.seen) == 1,
+        **{f"score, {name}": score for name, score in scores(picture.seen).items()},
+    }
 
 
-def scores(
-    picture: np.ndarray, truth: np.ndarray, variance: float, arguments: argparse.Namespace
-) -> np.ndarray:
-    """Return (MSE, MAE, share within 0.5 px) of map, maximum and best of three: (3, 3)."""
-    blurred = simulate_defocus(picture, truth, noise_variance=variance, rng=0)
-    candidates = estimate_candidates(blurred, mode=arguments.mode, stride=arguments.stride)
-    blur_map = label_blur_map(candidates, blurred)
-    true_radii = at_windows(truth, candidates)[..., None]
-    distances = np.abs(candidates.radii - true_radii)
-    distances = distances[np.isfinite(distances[..., 0])]
-    errors = (np.abs(blur_map - truth), distances[:, 0], np.nanmin(distances, axis=1))
-    return np.array([[np.mean(e**2), np.mean(e), np.mean(e <= 0.5)] for e in errors])
+def in_px(pictures: list[Picture], found: list[dict[str, np.ndarray]]) -> None:
+    """Add maps in px that the scores give, fitted on all pictures of other sources."""
+    some = np.s_[::_FIT_EVERY, ::_FIT_EVERY]
+    for source in {picture.source for picture in pictures}:
+        others = [at for at, picture in enumerate(pictures) if picture.source != source]
+        known = [pictures[at].known[some] for at in others]
+        truth = np.concatenate(
+            [pictures[at].truth[some][k] for at, k in zip(others, known, strict=True)]
+        )
+        fits = {
+            name: MonotoneMap.fitted(
+                np.concatenate(
+                    [found[at][f"score, {name}"][some][k]
+                     for at, k in zip(others, known, strict=True)]
+                ),
+                truth,
+            )
+            for name in SCORES
+        }  # fmt: skip
+        for picture, maps in zip(pictures, found, strict=True):
+            if picture.source == source:
+                maps[CONSTANT] = np.full(picture.truth.shape, np.median(truth))
+                for name, fit in fits.items():
+                    maps[name] = fit(maps[f"score, {name}"])
 
 
-def table_row(family: str, variance: float, values: np.ndarray) -> str:
-    cells = [f"{mse:.3f} | {mae:.3f} | {share:.0%}" for mse, mae, share in values]
-    return f"| {family} | {variance:.0e} | {' | '.join(cells)} |"
+def numbers_of_group(
+    group: Group, pictures: list[Picture], found: list[dict[str, np.ndarray]]
+) -> list[Number]:
+    """Return all measures of a group, a value for each source."""
+    sources = list(dict.fromkeys(picture.source for picture in pictures))
+    values: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for source in sources:
+        of_source = [at for at, picture in enumerate(pictures) if picture.source == source]
+        known = np.concatenate([pictures[at].known.ravel() for at in of_source])
+
+        def flat(name: str, of_source: list = of_source, known: np.ndarray = known) -> np.ndarray:
+            return np.concatenate([found[at][name].ravel() for at in of_source])[known]
+
+        truth = np.concatenate([pictures[at].truth.ravel() for at in of_source])[known]
+        at_edges = None
+        if group.layered:
+            at_edges = np.concatenate([pictures[at].at_edges.ravel() for at in of_source])[known]
+        for method in (OURS, PAPER, *SCORES, CONSTANT):
+            for measure, value in measures_of(method, flat, truth, at_edges).items():
+                values[measure, method].append(value)
+    return [
+        Number(group.name, measure, method, tuple(each), *MEASURES[measure])
+        for measure in MEASURES
+        for (its, method), each in values.items()
+        if its == measure and np.isfinite(each).any()
+    ]
 
 
-if __name__ == "__main__":
-    main()
+def measures_of(method: str, flat, truth: np.ndarray, at_edges: np.ndarray | None) -> dict:
+    """Return what one method's map of one source is worth; `flat` returns its arrays."""
+    error, stated, clear = np.abs(flat(method) - truth), flat("confidence"), decided(truth)
+    sure = stated >= CONFIDENT
+    masks = {OURS: "mask", PAPER: "mask of the paper"}
+    mask = flat(masks[method]) if method in masks else flat(method) <= THRESHOLD
+    some = np.s_[::_RANK_EVERY]
+    score = flat(f"score, {method}" if method in SCORES else method)[some]
+    measures = {
+        "mean error": error.mean(),
+        "median error": np.median(error),
+        "mean error where we are sure": error[sure].mean() if sure.any() else np.nan,
+        "in focus, intersection over union": overlap(mask[clear], truth[clear] <= THRESHOLD),
+    }
+    if at_edges is not None:
+        measures["mean error at edges"] = error[at_edges].mean()
+        measures["mean error elsewhere"] = error[~at_edges].mean()
+    if method == CONSTANT:
+        return measures
+    measures |= {
+        "in focus, area under ROC": area_under_roc(
+            score[clear[some]], truth[some][clear[some]] > THRESHOLD
+        ),
+        "rank correlation": rank_correlation(score, truth[some]),
+    }
+    if method == OURS:
+        measures["sure of"] = sure.mean()
+        measures["right where 0.9 is stated"] = share_right(error, stated, *SAYS_NINE_TENTHS)
+    return measures
+
+
+def numbers_by_radius(pictures: list[Picture], found: list[dict]) -> list[Number]:
+    """Return the mean error of each uniform radius."""
+    values: dict[tuple[int, str], list[float]] = defaultdict(list)
+    for picture, maps in zip(pictures, found, strict=True):
+        radius = int(picture.truth.flat[0])
+        for method in (OURS, PAPER, *SCORES):
+            values[radius, method].append(float(np.abs(maps[method] - radius).mean()))
+    return [
+        Number(f"uniform, {radius} px", "mean error", method, tuple(each), "px", "lower")
+        for (radius, method), each in values.items()
+    ]
+
+
+def kind_of(group: Group) -> str:
+    """Name the kind of condition that the confidence is judged under."""
+    if group.condition.startswith("noise"):
+        return "noise"
+    return group.condition.split()[0].rstrip(",")
+
+
+def calibration_bins(picture: Picture, maps: dict[str, np.ndarray]) -> np.ndarray:
+    """Return (count, sum of what is stated, count of what is right) of each tenth: (10, 3)."""
+    stated = maps["confidence"][picture.known]
+    right = np.abs(maps[OURS] - picture.truth)[picture.known] <= RIGHT
+    place = np.minimum((BINS * stated).astype(int), BINS - 1)
+    sums = [np.bincount(place, weights, BINS) for weights in (None, stated, right)]
+    return np.stack(sums, axis=1)
+
+
+def calibration_numbers(bins: dict[str, np.ndarray]) -> list[Number]:
+    """Return the confidence's calibration: right against stated, and the mean difference."""
+    numbers = []
+    for kind, sums in bins.items():
+        count, stated, right = sums.T
+        difference = np.abs(stated - right).sum() / count.sum()
+        what = f"confidence, {kind}"
+        numbers.append(Number(what, "mean difference from what is right", OURS,
+                              (difference,), "%", "lower"))  # fmt: skip
+        for place in np.flatnonzero(count >= 1000):
+            says = f"stated {stated[place] / count[place]:.2f}"
+            numbers.append(Number(what, says, OURS, (right[place] / count[place],), "%"))
+    return numbers

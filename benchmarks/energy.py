@@ -9,7 +9,8 @@ all labels, which takes a minute or more on 500 x 500 px and much memory: with -
 
 --full compares pixels instead: the labels that the map is made from, with those of expansion moves
 over all pixels from these labels and from each pixel's own best; and what it takes to bring ours
-there by the moves of the grid. It takes minutes and about 1.5 kB a pixel.
+there by the moves of the grid. It takes minutes and about 1.5 kB a pixel. The rest is a part of
+run_all.py, too.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 from pictures import middle
+from record import OURS, PAPER, Number, Record
 
 from napari_defocus import BlurCandidates, estimate_candidates
 from napari_defocus.boundaries import Blocks, label_pixels, pixel_weights
@@ -102,20 +104,49 @@ class Problem:
         return cost, pixel_weights(self.picture.color, everywhere, COLOR_SIGMA, SMOOTHNESS)
 
 
+@dataclass(frozen=True)
+class Solved:
+    """Energies and seconds of three solvers on the grid of windows of one picture."""
+
+    nodes: tuple[int, int]
+    ours: tuple[float, float]
+    reference: tuple[float, float]
+    exact: tuple[float, float]
+
+    @classmethod
+    def of(cls, problem: Problem, exact: bool) -> "Solved":
+        data, weights = problem.of_windows()
+        minimize_energy(data[:40, :40], weights_within(weights, 40))  # compiled
+        solvers = minimize_energy, expand_until_settled, solve_exactly
+        found = [energy_and_time(solve, data, weights) for solve in solvers[: 2 + exact]]
+        return cls(data.shape[:2], *found, *([] if exact else [(np.nan, np.nan)]))
+
+
+def measure_energy(photographs: dict[str, np.ndarray], side: int, record: Record) -> None:
+    """Add how far labels are above the least energy, and in what time."""
+    solved = {
+        name: Solved.of(Problem.of(middle(picture, side)), exact=True)
+        for name, picture in photographs.items()
+    }
+    what = f"labels of {len(solved)} photographs, {side} px"
+    for method, name in {OURS: "ours", PAPER: "reference", "exact": "exact"}.items():
+        found = [(getattr(each, name), each.exact[0]) for each in solved.values()]
+        gaps = tuple(above(energy, least) for (energy, _), least in found)
+        seconds = tuple(seconds for (_, seconds), _ in found)
+        record.add(Number(what, "energy above the least", method, gaps, "percent", "lower"))
+        record.add(Number(what, "time of labels", method, seconds, "s", "lower", "runs"))
+
+
 def grid_row(problem: Problem, exact: bool) -> str:
-    data, weights = problem.of_windows()
-    minimize_energy(data[:40, :40], weights_within(weights, 40))  # compiled
-    ours, seconds = energy_and_time(minimize_energy, data, weights)
-    reference, reference_seconds = energy_and_time(expand_until_settled, data, weights)
-    least, exact_seconds = energy_and_time(solve_exactly, data, weights) if exact else (0, 0)
+    found = Solved.of(problem, exact)
     return " | ".join(
         [
-            f"{data.shape[0]} x {data.shape[1]}",
-            f"{above(ours, reference):+.3f}",
-            f"{above(ours, least):.3f}" if exact else "",
-            f"{seconds:.2f}",
-            f"{reference_seconds:.1f}",
-            f"{exact_seconds:.0f}" if exact else "",
+            f"{found.nodes[0]} x {found.nodes[1]}",
+            f"{above(found.ours[0], found.reference[0]):+.3f}",
+            f"{above(found.ours[0], found.exact[0]):.3f}" if exact else "",
+            f"{found.ours[1]:.2f}",
+            f"{found.reference[1]:.1f}",
+            f"{found.exact[1]:.0f}" if exact else "",
         ]
     )
 

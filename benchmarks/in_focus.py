@@ -4,59 +4,74 @@
 
 The outlines are in benchmarks/masks; a rim of 4 px along them and what is marked as unsure do not
 count. Prints a Markdown table: the area under the ROC curve (blurred against in focus) of the blur
-map, of the local variance of the Laplacian and of PyPI's blur-detector, as in separation.py; and
-the intersection over union of the default mask, and of the map up to 2 px.
+map and of peers' scores; and the intersection over union of the default mask, of the map up to
+2 px, and of scores cut where it is best for each photograph, which knows the outline. A part of
+run_all.py.
 """
 
 import argparse
 import json
 from pathlib import Path
 
-import imageio.v3 as imageio
 import numpy as np
-from camera import LUMA
+from measures import THRESHOLD, area_under_roc, overlap
+from peers import SCORES, scores
+from pictures import OUTLINES, photographs
+from record import OURS, PAPER, Number, Record, circumstances, table
 from scipy.ndimage import binary_dilation, binary_erosion
-from separation import THRESHOLD, area_under_roc, detected_sharpness, laplacian_variance
 from skimage.draw import polygon2mask
 
 from napari_defocus import estimate_candidates, label_blur_map, segment_in_focus
 
-OUTLINES = Path(__file__).parent / "masks"
 RIM = 4
+CUTS = np.linspace(0.01, 0.99, 50)
+AREA, UNION = "in focus, area under ROC", "in focus, intersection over union"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     shared = Path(__file__).parents[2] / "shared" / "data" / "photos"
     parser.add_argument("--data", type=Path, default=shared, help="folder of the photographs")
-    folder = parser.parse_args().data
-    print(
-        "| photograph | map, AUC | Laplacian, AUC | blur-detector, AUC | mask, IoU "
-        "| map up to 2 px, IoU |\n" + "|---" * 6 + "|"
-    )
-    rows = []
-    for path in sorted(OUTLINES.glob("*.json")):
-        outline = json.loads(path.read_text())
-        if not (folder / outline["picture"]).exists():
-            raise SystemExit(f"{folder} has no {outline['picture']}; --data takes its folder")
-        rows.append(figures(imageio.imread(folder / outline["picture"])[..., :3], outline))
-        print(row(path.stem, rows[-1]), flush=True)
-    print(row("mean", np.mean(rows, axis=0)))
+    record = Record(circumstances())
+    measure_photographs(photographs(parser.parse_args().data), record)
+    print(table(record, record.rows(), (OURS, PAPER, *SCORES)))
 
 
-def row(name: str, numbers: np.ndarray | list[float]) -> str:
-    return f"| {name} | " + " | ".join(f"{number:.3f}" for number in numbers) + " |"
+def measure_photographs(pictures: dict[str, np.ndarray], record: Record) -> None:
+    """Add the area under the ROC curve and the intersection over union of each photograph."""
+    rows = {name: figures(picture, outline_of(name)) for name, picture in pictures.items()}
+    for what, chosen in ({name: [name] for name in rows} | {"photographs": list(rows)}).items():
+        for measure, method in next(iter(rows.values())):
+            values = tuple(rows[name][measure, method] for name in chosen)
+            where = what if what == "photographs" else f"photograph {what}"
+            record.add(Number(where, measure, method, values, better="higher"))
 
 
-def figures(picture: np.ndarray, outline: dict) -> list[float]:
+def outline_of(name: str) -> dict:
+    return json.loads((OUTLINES / f"{name}.json").read_text())
+
+
+def figures(picture: np.ndarray, outline: dict) -> dict[tuple[str, str], float]:
+    """Return each measure of each method."""
     in_focus, counts = masks(outline)
-    candidates = estimate_candidates(picture)
-    blur_map = label_blur_map(candidates, picture)
-    luma = picture @ LUMA / 255
-    scores = (blur_map, -laplacian_variance(luma), -detected_sharpness(luma))
-    areas = [area_under_roc(score[counts], ~in_focus[counts]) for score in scores]
-    found = (segment_in_focus(candidates, picture) == 1, blur_map <= THRESHOLD)
-    return areas + [overlap(each[counts], in_focus[counts]) for each in found]
+    found: dict[tuple[str, str], float] = {}
+    true = in_focus[counts]
+    for method, mode in {OURS: "curve", PAPER: "paper"}.items():
+        candidates = estimate_candidates(picture, mode=mode)
+        blur_map = label_blur_map(candidates, picture)[counts]
+        mask = segment_in_focus(candidates, picture)[counts] == 1
+        found[AREA, method] = area_under_roc(blur_map, ~true)
+        found[UNION, method] = overlap(mask, true)
+        if method == OURS:
+            found[UNION, "our map up to 2 px"] = overlap(blur_map <= THRESHOLD, true)
+    for method, score in scores(picture).items():
+        found[AREA, method] = area_under_roc(score[counts], ~true)
+        found[UNION, method] = best_overlap(score[counts], true)
+    return found
+
+
+def best_overlap(score: np.ndarray, true: np.ndarray) -> float:
+    return max(overlap(score <= cut, true) for cut in np.quantile(score, CUTS))
 
 
 def masks(outline: dict) -> tuple[np.ndarray, np.ndarray]:
@@ -70,10 +85,6 @@ def masks(outline: dict) -> tuple[np.ndarray, np.ndarray]:
     in_focus = inside(outline["in_focus"])
     rim = binary_dilation(in_focus, iterations=RIM) & ~binary_erosion(in_focus, iterations=RIM)
     return in_focus, ~(inside(outline["unsure"]) & ~in_focus) & ~rim
-
-
-def overlap(found: np.ndarray, true: np.ndarray) -> float:
-    return (found & true).sum() / max(1, (found | true).sum())
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Sharp pictures to blur, and maps of blur to blur them with: what the benchmarks share."""
+"""Sharp pictures to blur, photographs, and maps of blur: what the benchmarks share."""
 
 from pathlib import Path
 
@@ -6,9 +6,12 @@ import imageio.v3 as imageio
 import numpy as np
 import skimage.data
 from skimage.transform import resize
+from skimage.util import img_as_float
 
 SIDE = 300
 SHIPPED = ("astronaut", "brick", "camera", "chelsea", "coffee", "grass", "gravel")
+SAMPLES = Path(__file__).parents[1] / "src" / "napari_defocus" / "samples"
+OUTLINES = Path(__file__).parent / "masks"
 
 
 def sharp_pictures(folder: Path) -> dict[str, np.ndarray]:
@@ -17,11 +20,39 @@ def sharp_pictures(folder: Path) -> dict[str, np.ndarray]:
     Without the folder, take pictures that scikit-image ships, scaled down so that they are
     sharp at the scale of a pixel.
     """
-    paths = sorted(folder.glob("*.png")) + sorted(folder.glob("*.jpg"))
+    paths = picture_paths(folder)
     if paths:
         return {path.stem: middle(imageio.imread(path)[..., :3]) for path in paths}
     print(f"{folder} holds no pictures; taking those of scikit-image")
-    return {name: middle(halved(getattr(skimage.data, name)())) for name in SHIPPED}
+    return {name: middle(shipped_picture(name)) for name in SHIPPED}
+
+
+def whole_sharp_pictures(folder: Path | None) -> dict[str, np.ndarray]:
+    """Read every picture of a folder, or those of scikit-image: (H, W) or (H, W, 3), [0, 1]."""
+    if folder is None:
+        return {name: shipped_picture(name) for name in SHIPPED}
+    paths = picture_paths(folder)
+    if len(paths) < 2:
+        raise SystemExit(f"--data is {folder}; it takes a folder of two or more PNG or JPEG files")
+    return {path.stem: img_as_float(imageio.imread(path)[..., :3]) for path in paths}
+
+
+def picture_paths(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.png")) + sorted(folder.glob("*.jpg"))
+
+
+def shipped_picture(name: str) -> np.ndarray:
+    return halved(getattr(skimage.data, name)())
+
+
+def photographs(folder: Path | None) -> dict[str, np.ndarray]:
+    """Read the outlined photographs of a folder, or those that the package ships: uint8."""
+    names = (path.stem for path in sorted(OUTLINES.glob("*.json")))
+    paths = [(folder or SAMPLES) / f"{name}.jpg" for name in names]
+    found = {path.stem: imageio.imread(path)[..., :3] for path in paths if path.exists()}
+    if not found:
+        raise SystemExit(f"--photos is {folder}; it holds none of the outlined photographs")
+    return found
 
 
 def halved(picture: np.ndarray) -> np.ndarray:

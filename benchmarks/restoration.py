@@ -10,20 +10,26 @@ noise. PSNR and SSIM against the sharp picture, 20 px at the border left out:
 - map as it is: our own map, with its confidence; and alone;
 - true: the true map.
 
+run_all.py asks for the same, beside scikit-image's Wiener filter and Richardson-Lucy with one
+radius: the radius and the setting that are best for each picture, which knows the sharp one.
+
 With --speed, a colour picture of 500 x 500 px of our samples and the same ramp, beside PyPI's
 blur-detector in the same run: seconds for one application of the blur and of its adjoint, for
 the restoration, and its PSNR beside that of four times as many rounds; and the largest memory.
 """
 
 import argparse
+import itertools
 import time
 import tracemalloc
 from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
-from pictures import middle, ramp, sharp_pictures
+from pictures import SAMPLES, middle, ramp, sharp_pictures
+from record import OURS, Number, Record
 from skimage.metrics import structural_similarity
+from skimage.restoration import richardson_lucy, wiener
 
 from napari_defocus import (
     Disc,
@@ -37,14 +43,21 @@ from napari_defocus import (
 )
 from napari_defocus.blur_operator import BlurOperator
 
-SAMPLES = Path(__file__).parents[1] / "src" / "napari_defocus" / "samples"
 INNER = np.s_[20:-20, 20:-20]
+NOISE = (1e-6, 1e-5)
+METHODS = ("the picture itself", OURS, "our map, with confidence", "our map", "true map")
+RADII = (2.0, 2.5, 3.0, 3.5, 4.0)
+PEERS = {
+    "Wiener": (wiener, (1e-4, 1e-3, 1e-2, 1e-1)),
+    "Richardson-Lucy": (richardson_lucy, (10, 30)),
+}
+_PAD = 24
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path("sharp"), help="a folder of pictures")
-    parser.add_argument("--noise", type=float, nargs="*", default=[1e-6, 1e-5])
+    parser.add_argument("--noise", type=float, nargs="*", default=NOISE)
     parser.add_argument("--speed", action="store_true", help="measure the time instead")
     parser.add_argument("--runs", type=int, default=5)
     arguments = parser.parse_args()
@@ -62,6 +75,53 @@ def main() -> None:
         gains = np.array(rows)[:, 1:, 0] - np.array(rows)[:, :1, 0]
         print(f"| {variance:g} | gain, mean (least) | | " + gain_cells(gains) + " |", flush=True)
     return None
+
+
+def measure_restoration(sharp: dict[str, np.ndarray], record: Record, *, quick: bool) -> None:
+    """Add PSNR and SSIM of every picture and noise, ours and those of one radius for all."""
+    for variance in NOISE[:1] if quick else NOISE:
+        found: dict[str, list[tuple[float, float]]] = {}
+        for picture in sharp.values():
+            each = dict(zip(METHODS, restored(picture, variance), strict=True))
+            each |= best_of_one_radius(picture, variance, quick=quick)
+            for method, scores in each.items():
+                found.setdefault(method, []).append(scores)
+        what = f"restored, ramp, noise {variance:.0e}"
+        for place, (measure, unit) in enumerate({"PSNR": "dB", "SSIM": ""}.items()):
+            for method, scores in found.items():
+                values = tuple(score[place] for score in scores)
+                record.add(Number(what, measure, method, values, unit, "higher"))
+
+
+def best_of_one_radius(
+    sharp: np.ndarray, variance: float, *, quick: bool
+) -> dict[str, tuple[float, float]]:
+    """Return the best that deconvolution with one radius can do, and its SSIM."""
+    seen = simulate_defocus(sharp, ramp(), noise_variance=variance, rng=0)
+    radii = RADII[::2] if quick else RADII
+    found = {}
+    for name, (method, settings) in PEERS.items():
+        radius, setting = max(
+            itertools.product(radii, settings),
+            key=lambda tried: psnr(deconvolved(one(seen), tried[0], method, tried[1]), one(sharp)),
+        )
+        picture = deconvolved(seen, radius, method, setting)
+        found[name] = psnr(picture, sharp), ssim(picture, sharp)
+    return found
+
+
+def one(picture: np.ndarray) -> np.ndarray:
+    """Return the green of a picture in colour: what is best for it is for the others, too."""
+    return picture[..., 1] if picture.ndim == 3 else picture
+
+
+def deconvolved(seen: np.ndarray, radius: float, method, setting: float) -> np.ndarray:
+    """Deconvolve each channel by one disc, mirrored at the border."""
+    kernel, planes = Disc().kernel(radius), np.atleast_3d(seen)
+    padded = np.pad(planes, ((_PAD, _PAD), (_PAD, _PAD), (0, 0)), mode="symmetric").clip(0, 1)
+    channels = [method(channel, kernel, setting) for channel in np.moveaxis(padded, 2, 0)]
+    inner = np.stack(channels, axis=2)[_PAD:-_PAD, _PAD:-_PAD]
+    return inner.reshape(seen.shape).astype(np.float32)
 
 
 def as_floats(picture: np.ndarray) -> np.ndarray:
