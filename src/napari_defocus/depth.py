@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.exif import noted_lens
+from napari_defocus.image import given_array
 from napari_defocus.psf import Disc, PSFFamily, as_family, check_number
 from napari_defocus.settings import Side, radius_per_scale
 
@@ -286,7 +287,7 @@ def checked_side(side: Side | ArrayLike, shape: tuple[int, ...]) -> NDArray[np.b
         if side not in get_args(Side):
             raise ValueError(f"side is {side!r}; it takes 'far', 'near' or a bool array")
         return np.asarray(side == "far")
-    beyond = np.asarray(side)
+    beyond = given_array("side", side)
     if beyond.dtype.kind != "b":
         raise TypeError(f"side has dtype {beyond.dtype}; it takes 'far', 'near' or bool")
     if beyond.shape != shape:
@@ -303,10 +304,7 @@ def checked_depth(depth: ArrayLike) -> Float64:
 
 
 def _real(name: str, values: ArrayLike) -> Float64:
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise ValueError(f"{name} is no array: {error}") from None
+    array = given_array(name, values)
     if array.dtype.kind not in "uif":
         raise TypeError(f"{name} has dtype {array.dtype}; it takes real numbers")
     return array.astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -12,10 +13,10 @@ from scipy import fft
 from scipy.ndimage import distance_transform_edt
 from scipy.signal import oaconvolve
 
-from napari_defocus.image import encode_srgb, prepare_image
+from napari_defocus.image import encode_srgb, given_array, prepare_image
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily, as_family
-from napari_defocus.settings import Linearize
+from napari_defocus.settings import Linearize, check_real
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -91,7 +92,9 @@ def simulate_layered_defocus(
     --------
     A sharp white wall, nearer than a black background that is blurred:
 
-    >>> import numpy as np
+    >>> import math
+
+    import numpy as np
     >>> wall = np.arange(6) >= np.full((6, 1), 3)
     >>> picture, blur_map = simulate_layered_defocus(wall, -1.0 * wall, lambda z: 2 * (z + 1))
     >>> picture[0]
@@ -104,7 +107,8 @@ def simulate_layered_defocus(
     distance = _without_gaps(_checked_depth(depth, picture.shape))
     radii = _checked_radii(radius_of_depth, distance, psf)
     _check_layers(layers)
-    if not (np.isfinite(noise_variance) and noise_variance >= 0):
+    check_real("noise_variance", noise_variance, "a finite number from 0 up")
+    if not (math.isfinite(noise_variance) and noise_variance >= 0):
         raise ValueError(f"noise_variance is {noise_variance}; it takes a finite number from 0 up")
     scene = Layers.cut(distance, layers)
     kernels = [psf.kernel(min(mean, psf.max_scale)) for mean in scene.mean(radii)]
@@ -261,7 +265,7 @@ def _checked_radii(
 
 
 def _checked_plane(found: str, values: ArrayLike, shape: tuple[int, ...]) -> Float64:
-    array = np.asarray(values)
+    array = given_array(found.split()[0], values)
     if array.dtype.kind not in "uif":
         raise TypeError(f"{found} dtype {array.dtype}; it takes real numbers")
     if array.shape != shape:

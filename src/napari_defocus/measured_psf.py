@@ -18,7 +18,13 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import convolve
 
 import napari_defocus
-from napari_defocus.psf import check_largest, checked_kernels, corners_to, real_array
+from napari_defocus.psf import (
+    check_largest,
+    checked_kernels,
+    checked_scale,
+    corners_to,
+    real_array,
+)
 
 Float64 = NDArray[np.floating]
 
@@ -117,6 +123,7 @@ class MeasuredPSF:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the kernel at `scale` (px), between those that were measured; sum 1."""
+        scale = checked_scale(scale)
         first = self._first_aperture
         above = int(np.clip(np.searchsorted(self.scales, scale), first, len(self.scales) - 1))
         kernel = self._sum_scaled(self._details[above:], scale)

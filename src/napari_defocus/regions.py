@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.files import write_results
+from napari_defocus.image import given_array
 from napari_defocus.settings import CONFIDENT
 
 MIN_AREA = 16
@@ -188,7 +189,7 @@ class _Measures:
             _checked_values("blur_map", blur_map, shape, math.inf, "finite scales from 0 px up"),
             _checked_values("confidence", confidence, shape, 1.0, "values from 0 to 1"),
             _pixel_area(pixel_size),
-            unit.replace("µ", "u").replace("μ", "u"),
+            _checked_unit(unit).replace("µ", "u").replace("μ", "u"),
         )
 
     def at(self, where: NDArray[np.bool_], box: tuple[slice, ...]) -> dict[str, float]:
@@ -240,7 +241,7 @@ def _row(region: Any, size: int, measures: _Measures) -> dict[str, Any]:
 
 
 def _checked_mask(in_focus: ArrayLike) -> NDArray[np.bool_]:
-    mask = np.asarray(in_focus)
+    mask = given_array("in_focus", in_focus)
     if mask.dtype.kind not in "bui":
         raise TypeError(f"in_focus has dtype {mask.dtype}; it takes bool or integers")
     if mask.ndim != 2 or not mask.size:
@@ -253,7 +254,7 @@ def _checked_values(
 ) -> NDArray[Any] | None:
     if given is None:
         return None
-    values = np.asarray(given)
+    values = given_array(name, given)
     if values.dtype.kind not in "uif":
         raise TypeError(f"{name} has dtype {values.dtype}; it takes real numbers")
     if values.shape != shape:
@@ -266,10 +267,21 @@ def _checked_values(
     return values
 
 
+def _checked_unit(unit: str) -> str:
+    if not isinstance(unit, str):
+        raise TypeError(f"unit is {unit!r}; it takes a text such as 'um'")
+    return unit
+
+
 def _pixel_area(pixel_size: float | Sequence[float] | None) -> float | None:
     if pixel_size is None:
         return None
-    sides = np.atleast_1d(np.asarray(pixel_size, np.float64))
+    try:
+        sides = np.atleast_1d(np.asarray(pixel_size, np.float64))
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"pixel_size is {pixel_size!r}; it takes a number, or two for height and width"
+        ) from None
     if sides.shape not in ((1,), (2,)) or not ((sides > 0) & np.isfinite(sides)).all():
         raise ValueError(
             f"pixel_size is {pixel_size}; it takes a positive number, or two for height and width"
