@@ -297,7 +297,7 @@ def _refusal(target: Path, force: bool, source: Path | None) -> str | None:
 
 
 def _creation_failure(folder: Path) -> str | None:
-    probe = _unused_name(folder)
+    probe = unused_name(folder)
     try:
         probe.touch(exist_ok=False)
         probe.unlink()
@@ -306,7 +306,8 @@ def _creation_failure(folder: Path) -> str | None:
     return None
 
 
-def _unused_name(folder: Path) -> Path:
+def unused_name(folder: Path) -> Path:
+    """Return a temporary name for a file to come, which no other process takes."""
     return folder / f".napari-defocus-{secrets.token_hex(8)}.part"
 
 
@@ -330,7 +331,7 @@ def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> Non
         is full. No temporary file stays behind, and files that existed are as they were.
     """
     check_results(contents, force=force)
-    parts = {path: _unused_name(path.resolve().parent) for path in contents}
+    parts = {path: unused_name(path.resolve().parent) for path in contents}
     try:
         for path, part in parts.items():
             _write_through(part, contents[path])
