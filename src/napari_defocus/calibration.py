@@ -138,7 +138,7 @@ def calibrate_psf(
     provenance = {
         "made_from": "point sources" if references is None else "sharp and blurred pictures",
         "pictures": len(blurred),
-        "names": None if names is None else list(names),
+        "names": None if names is None else [str(name) for name in names],
         "scales": found.tolist(),
         "scales_were": "measured" if scales is None else "given",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),

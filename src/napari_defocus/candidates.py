@@ -476,9 +476,9 @@ def _check_settings(
         check_noise_variance(noise_variance)
     check_mode(mode)
     check_stride(stride, window)
-    if spectra not in get_args(Spectra):
+    if not isinstance(spectra, str) or spectra not in get_args(Spectra):
         raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
-    if search not in get_args(Search):
+    if not isinstance(search, str) or search not in get_args(Search):
         raise ValueError(f"search is {search!r}; it takes one of {get_args(Search)}")
 
 

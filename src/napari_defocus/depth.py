@@ -73,7 +73,7 @@ class ThinLens:
         check_number(
             "focus_distance_m",
             self.focus_distance_m,
-            lambda s: s > 0 and self.focal_length_mm / 1000 / s < 1,
+            lambda s: s > 0 and float(self.focal_length_mm) / 1000 / s < 1,
             f"a distance above the focal length, {self.focal_length_mm / 1000:g} m",
         )
 
@@ -88,9 +88,11 @@ class ThinLens:
     @property
     def _radius_per_dioptre(self) -> float:
         """K s: the radius in px over |1/d - 1/s|, in 1/m."""
-        aperture_mm = self.focal_length_mm / self.f_number
-        at_infinity = aperture_mm * self.focal_length_mm / (2 * self.pixel_pitch_um)
-        return at_infinity / (1 - self.focal_length_mm / 1000 / self.focus_distance_m)
+        # In double precision, whatever was given.
+        focal_length_mm = float(self.focal_length_mm)
+        aperture_mm = focal_length_mm / self.f_number
+        at_infinity = aperture_mm * focal_length_mm / (2 * self.pixel_pitch_um)
+        return at_infinity / (1 - focal_length_mm / 1000 / self.focus_distance_m)
 
     @classmethod
     def from_exif(

@@ -14,6 +14,7 @@ from napari_defocus.candidates import BlurCandidates, check_not_lazy, check_plac
 from napari_defocus.confidence import TOLERANCE
 from napari_defocus.evidence import CARRIED_IN, asked_windows, evidence_share
 from napari_defocus.image import PreparedImage, given_array, prepare_image
+from napari_defocus.settings import check_real
 from napari_defocus.spectrum import LABEL_STEP
 
 if TYPE_CHECKING:
@@ -260,6 +261,7 @@ def draw_explanation(
     """
     if not isinstance(explanation, PixelExplanation):
         raise TypeError(f"explanation is {explanation!r}; it takes what explain_pixel returns")
+    check_real("floor", floor, "a number below 0")
     if not hasattr(axes, "plot"):
         raise TypeError(f"axes is {axes!r}; it takes axes of matplotlib")
     told = explanation

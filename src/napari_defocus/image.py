@@ -15,6 +15,8 @@ LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 
 MIN_SIDE = 3
 
+_LARGEST = 1e9
+
 
 @dataclass(frozen=True)
 class PreparedImage:
@@ -66,7 +68,8 @@ def prepare_image(
     TypeError
         If the dtype is not real (object, complex, text).
     ValueError
-        If the shape is none of the above, a side is below 3 px, a value is NaN or infinite,
+        If the shape is none of the above, a side is below 3 px, a value is NaN or infinite, or
+        beyond 1e9 once it is scaled,
         `intensity_range` is not two increasing finite numbers, or `linearize` is unknown.
     """
     check_linearize(linearize)
@@ -88,7 +91,8 @@ def prepare_image(
         color = intensity.reshape(*array.shape[:2], -1).astype(np.float32)
         if linearize == "srgb":
             color = decode_srgb(color)
-    if not np.isfinite(color).all():
+    # Infinity is above it, too. Fourth powers, such as variances of powers, fit below.
+    if not (np.abs(color) <= _LARGEST).all():
         raise ValueError(
             f"image has values up to {np.abs(array).max():g}; it takes intensities around [0, 1], "
             "or an intensity_range"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -16,7 +15,8 @@ from scipy.signal import oaconvolve
 from napari_defocus.image import encode_srgb, given_array, prepare_image
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily, as_family
-from napari_defocus.settings import Linearize, check_real
+from napari_defocus.settings import Linearize
+from napari_defocus.simulation import noise_for
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -92,9 +92,7 @@ def simulate_layered_defocus(
     --------
     A sharp white wall, nearer than a black background that is blurred:
 
-    >>> import math
-
-    import numpy as np
+    >>>     import numpy as np
     >>> wall = np.arange(6) >= np.full((6, 1), 3)
     >>> picture, blur_map = simulate_layered_defocus(wall, -1.0 * wall, lambda z: 2 * (z + 1))
     >>> picture[0]
@@ -107,17 +105,15 @@ def simulate_layered_defocus(
     distance = _without_gaps(_checked_depth(depth, picture.shape))
     radii = _checked_radii(radius_of_depth, distance, psf)
     _check_layers(layers)
-    check_real("noise_variance", noise_variance, "a finite number from 0 up")
-    if not (math.isfinite(noise_variance) and noise_variance >= 0):
-        raise ValueError(f"noise_variance is {noise_variance}; it takes a finite number from 0 up")
+    noise = noise_for(noise_variance, rng)
     scene = Layers.cut(distance, layers)
     kernels = [psf.kernel(min(mean, psf.max_scale)) for mean in scene.mean(radii)]
     seen = spread_layers(picture.color, scene, kernels)
     if linearize == "srgb":
         seen = encode_srgb(seen)
     if noise_variance > 0:
-        noise = np.random.default_rng(rng).standard_normal(seen.shape, np.float32)
-        seen += np.float32(np.sqrt(noise_variance)) * noise
+        white = noise.standard_normal(seen.shape, np.float32)
+        seen += np.float32(np.sqrt(noise_variance)) * white
     return seen[..., 0] if seen.shape[2] == 1 else seen, radii.astype(np.float32)
 
 

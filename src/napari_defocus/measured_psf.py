@@ -119,7 +119,7 @@ class MeasuredPSF:
         object.__setattr__(self, "scales", checked_scales)
         object.__setattr__(self, "kernels", stack)
         object.__setattr__(self, "max_scale", largest)
-        object.__setattr__(self, "provenance", _checked_provenance(provenance or {}))
+        object.__setattr__(self, "provenance", _checked_provenance(provenance))
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the kernel at `scale` (px), between those that were measured; sum 1."""
@@ -255,7 +255,11 @@ def _checked_scales(scales: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def _checked_provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
+def _checked_provenance(provenance: Mapping[str, Any] | None) -> dict[str, Any]:
+    if provenance is None:
+        return {}
+    if not isinstance(provenance, Mapping):
+        raise TypeError(f"provenance is {provenance!r}; it takes a dict, or None")
     try:
         return json.loads(json.dumps(dict(provenance)))
     except (TypeError, ValueError) as error:

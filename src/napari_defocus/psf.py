@@ -27,6 +27,8 @@ _GAUSSIAN_CUT = 4.0
 _TAIL = 1e-4
 _NODES = 128
 _ROUNDING = 1e-9
+_LARGEST_SCALE = 10_000
+"""px; the kernel of a disc of that radius takes 3 GB."""
 
 
 @runtime_checkable
@@ -194,7 +196,7 @@ class Polygon:
         radius = scale * np.sqrt(turn / np.sin(turn))
         if radius <= 0.5:
             return np.ones((1, 1))
-        angle = np.deg2rad(self.rotation) + turn * np.arange(self.blades)
+        angle = np.deg2rad(self.rotation % 360) + turn * np.arange(self.blades)
         half = corners_to(radius)
         corners = np.concatenate([-half[::-1], half])
         below = _polygon_area_below(-radius * np.sin(angle), radius * np.cos(angle), corners)
@@ -396,7 +398,8 @@ def check_number(
 
 def checked_scale(scale: float) -> float:
     """Check the scale that a kernel is asked for, in px; what is below 0 is a point, as 0 is."""
-    check_number("scale", scale, math.isfinite, "a finite number of px")
+    takes = f"a number of px up to {_LARGEST_SCALE}"
+    check_number("scale", scale, lambda s: -math.inf < s <= _LARGEST_SCALE, takes)
     return max(float(scale), 0.0)
 
 

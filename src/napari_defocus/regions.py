@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.files import write_results
 from napari_defocus.image import given_array
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT, check_real
 
 MIN_AREA = 16
 """Smaller regions, in px, are left out unless another area is asked for: one block of the map."""
@@ -131,7 +131,8 @@ def measure_regions(
     from skimage.measure import label
 
     mask = _checked_mask(in_focus)
-    if min_area < 1 or min_area != int(min_area):
+    check_real("min_area", min_area, "a whole number of px from 1 up")
+    if not 1 <= min_area < math.inf or min_area != int(min_area):
         raise ValueError(f"min_area is {min_area!r}; it takes a whole number of px from 1 up")
     measures = _Measures.of(mask.shape, blur_map, confidence, pixel_size, unit)
     found = label(mask, connectivity=_EIGHT_NEIGHBOURS)
