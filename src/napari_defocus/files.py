@@ -20,6 +20,10 @@ PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_BIT_DEPTH_AT = 24
 
 
+_OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError)
+"""What decoders raise that did not expect what they met; it tells a reader of files little."""
+
+
 class UnreadablePicture(ValueError):
     """No picture could be read; the message is one line with the path and the reason."""
 
@@ -194,7 +198,8 @@ def cut_off(page: Any, size: int) -> bool:
 
 def tiff_colors(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     """Turn pixels of a page of a TIFF, (H, W[, samples]), into grey, RGB or RGBA."""
-    model = page.photometric.name
+    # A number if it is of none that are known.
+    model = getattr(page.photometric, "name", str(page.photometric))
     # tifffile decodes YCbCr only where JPEG does it along the way.
     if model in ("MINISBLACK", "RGB") or (model == "YCBCR" and "JPEG" in page.compression.name):
         return _opacity_last(pixels)
@@ -244,6 +249,10 @@ def reading_failure(error: Exception) -> str:
         return "it is a folder"
     if isinstance(error, UnidentifiedImageError):
         return "it is no picture (PNG, JPEG, TIFF, WebP or BMP)"
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for it"
+    if isinstance(error, _OF_PROGRAMS):
+        return f"it is damaged ({type(error).__name__}: {_in_one_line(error)})"
     return _in_one_line(error)
 
 

@@ -30,6 +30,8 @@ Float64 = NDArray[np.floating]
 
 _SMALLEST_RATIO = 1e-3
 _INVISIBLE = 1e-6
+_LARGEST_FILE = 2**30
+"""Bytes that a file may unpack to; 100 kernels of 501 px are 0.2 GB."""
 _FORMAT = "napari-defocus measured PSF, 1"
 
 
@@ -228,6 +230,9 @@ class MeasuredPSF:
         """
         try:
             with np.load(path, allow_pickle=False) as file:
+                unpacked = sum(part.file_size for part in file.zip.infolist())
+                if unpacked > _LARGEST_FILE:
+                    raise ValueError(f"it unpacks to {unpacked} bytes")
                 if str(file["format"]) != _FORMAT:
                     raise ValueError(f"its format is {str(file['format'])!r}, not {_FORMAT!r}")
                 return cls(
