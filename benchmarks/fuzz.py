@@ -61,7 +61,9 @@ def _all_verdicts(plan: list[tuple[str, int]], seed: int) -> Any:
     at = 0
     while at < len(plan):
         results: Any = multiprocessing.Queue()
-        worker = multiprocessing.Process(target=_make_calls, args=(plan[at:], seed, results))
+        worker = multiprocessing.Process(
+            target=_make_calls, args=(plan[at:], seed, results), daemon=True
+        )
         worker.start()
         while at < len(plan):
             verdict = _next(results, worker, plan[at])

@@ -181,6 +181,11 @@ def map_for(rnd: Random, shape: tuple[int, int], largest: float = 3.0) -> Any:
 NUMBERS = {"noise_variance": [None, 0.0, 1e-6, 1e-3, 1], "smoothness": [0, 5.0, 20, 1e6]}
 
 
+def _of_its_own_range(arguments: dict[str, Any]) -> bool:
+    """Return whether nothing is too bright: integers may be 1e18 times as large as a range."""
+    return arguments.get("intensity_range") is None
+
+
 def _estimation(rnd: Random) -> dict[str, Any]:
     asked = some(
         rnd, window=[17, 29, 41], stride=[2, 3], mode=["curve", "paper"], psf=[family(rnd)]
@@ -200,7 +205,7 @@ def _candidates(rnd: Random) -> Call:
         assert np.isfinite(result.curve).all()
         assert not np.isinf(result.radii).any()
 
-    return Call(nd.estimate_candidates, arguments, check)
+    return Call(nd.estimate_candidates, arguments, check, _of_its_own_range(arguments))
 
 
 @recipe("estimate_blur_map")
@@ -220,7 +225,7 @@ def _blur_map(rnd: Random) -> Call:
             result = result[0]
         image_like(0, 1e9)(result, given)
 
-    return Call(nd.estimate_blur_map, arguments, check)
+    return Call(nd.estimate_blur_map, arguments, check, _of_its_own_range(arguments))
 
 
 @recipe("estimate_blur_map of stacks")
@@ -247,7 +252,8 @@ def _stack_of_maps(rnd: Random) -> Call:
 @recipe("estimate_noise_variance")
 def _noise(rnd: Random) -> Call:
     arguments = {"image": odd.picture(rnd)} | light(rnd)
-    return Call(nd.estimate_noise_variance, arguments, number_between(0, 1e9))
+    check = number_between(0, 1e9)
+    return Call(nd.estimate_noise_variance, arguments, check, _of_its_own_range(arguments))
 
 
 @recipe("estimate_shot_noise")

@@ -261,7 +261,9 @@ def draw_explanation(
     """
     if not isinstance(explanation, PixelExplanation):
         raise TypeError(f"explanation is {explanation!r}; it takes what explain_pixel returns")
-    check_real("floor", floor, "a number below 0")
+    check_real("floor", floor, "a finite number below 0")
+    if not -math.inf < floor < 0:
+        raise ValueError(f"floor is {floor}; it takes a finite number below 0")
     if not hasattr(axes, "plot"):
         raise TypeError(f"axes is {axes!r}; it takes axes of matplotlib")
     told = explanation

@@ -6,6 +6,7 @@ import os
 import secrets
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from struct import unpack
 from typing import Any
 
 import numpy as np
@@ -158,7 +159,7 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
     with tifffile.TiffFile(path) as tiff:
         series = _only_series(tiff)
         page = series.keyframe
-        if cut_off(page, tiff.filehandle.size):
+        if planes_are_missing(tiff, series) or cut_off(page, tiff.filehandle.size):
             raise ValueError("the file is cut off")
         pixels = series.asarray()
         if series.axes.startswith("S"):
@@ -196,10 +197,28 @@ def cut_off(page: Any, size: int) -> bool:
     return max(ends, default=0) > size
 
 
+def planes_are_missing(tiff: Any, series: Any) -> bool:
+    """Return whether a file says of more pages than tifffile found; it only logs that."""
+    if tiff.is_imagej and series.kind != "imagej":
+        return int(tiff.imagej_metadata.get("images", 1)) > len(tiff.pages)
+    if series.kind not in ("generic", "uniform"):
+        return False
+    layout, file, last = tiff.tiff, tiff.filehandle, tiff.pages[-1].offset
+    file.seek(last)
+    (tags,) = unpack(layout.tagnoformat, file.read(layout.tagnosize))
+    file.seek(last + layout.tagnosize + tags * layout.tagsize)
+    (following,) = unpack(layout.offsetformat, file.read(layout.offsetsize))
+    return following != 0
+
+
+def color_model(page: Any) -> str:
+    """Return how a page of a TIFF says colours, or the number of none that is known."""
+    return getattr(page.photometric, "name", str(page.photometric))
+
+
 def tiff_colors(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     """Turn pixels of a page of a TIFF, (H, W[, samples]), into grey, RGB or RGBA."""
-    # A number if it is of none that are known.
-    model = getattr(page.photometric, "name", str(page.photometric))
+    model = color_model(page)
     # tifffile decodes YCbCr only where JPEG does it along the way.
     if model in ("MINISBLACK", "RGB") or (model == "YCBCR" and "JPEG" in page.compression.name):
         return _opacity_last(pixels)
