@@ -15,7 +15,7 @@ from fuzz_calls import RECIPES, random_call
 from fuzz_terminal import terminal_call
 from fuzz_verdict import judged
 
-EXAMPLES = 5
+EXAMPLES = 3
 
 SLOW = {"calibrate_psf", "restore_all_in_focus", "fit_report"}
 """What takes tenths of a second a call."""
@@ -51,6 +51,6 @@ def test_call_ends_in_a_right_result_or_an_error_that_names_the_argument(name, r
 
 
 @given(rnd=randoms)
-@settings(few, max_examples=12)
+@settings(few, max_examples=6)
 def test_command_ends_in_whole_files_or_one_line(rnd):
     assert_good("the terminal command", terminal_call(rnd))
