@@ -92,7 +92,7 @@ def simulate_layered_defocus(
     --------
     A sharp white wall, nearer than a black background that is blurred:
 
-    >>>     import numpy as np
+    >>> import numpy as np
     >>> wall = np.arange(6) >= np.full((6, 1), 3)
     >>> picture, blur_map = simulate_layered_defocus(wall, -1.0 * wall, lambda z: 2 * (z + 1))
     >>> picture[0]

@@ -56,9 +56,7 @@ def simulate_defocus(
 
     Examples
     --------
-    >>> import math
-
-    import numpy as np
+    >>> import numpy as np
     >>> from napari_defocus import simulate_defocus
     >>> point = np.zeros((5, 5)); point[2, 2] = 1.0
     >>> simulate_defocus(point, np.full((5, 5), 1.0))[1:4, 1:4].round(3)
