@@ -1,7 +1,6 @@
 """What fuzz.py asks of one call: a right result, or an error that names the argument."""
 
 import hashlib
-import linecache
 import re
 import time
 import traceback
@@ -20,9 +19,8 @@ LIMIT = 10.0
 
 _PACKAGE = str(Path(napari_defocus.__file__).parent)
 
-# Now, as somebody may edit it while calls are made.
-for _path in Path(_PACKAGE).glob("*.py"):
-    linecache.getlines(str(_path))
+_LINES = {str(path): path.read_text("utf-8").splitlines() for path in Path(_PACKAGE).glob("*.py")}
+"""Of the package as it is imported: somebody may edit it while calls are made."""
 
 
 @dataclass(frozen=True)
@@ -77,10 +75,10 @@ def _is_clear(error: Exception, call: Call) -> bool:
     if call.fine or not isinstance(error, ValueError | TypeError | OSError | IndexError):
         return False
     frames = traceback.extract_tb(error.__traceback__)
-    ours = frames[-1].filename.startswith(_PACKAGE)
-    raised = "raise" in linecache.getline(frames[-1].filename, frames[-1].lineno or 0)
+    lines = _LINES.get(frames[-1].filename, [])
+    raised = bool(lines) and "raise" in lines[(frames[-1].lineno or 1) - 1]
     named = any(re.search(rf"(?<!\w){re.escape(n)}(?!\w)", str(error)) for n in call.known_names())
-    return ours and raised and named
+    return raised and named
 
 
 def _at(error: Exception) -> str:
