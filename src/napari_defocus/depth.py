@@ -76,6 +76,11 @@ class ThinLens:
             lambda s: s > 0 and float(self.focal_length_mm) / 1000 / s < 1,
             f"a distance above the focal length, {self.focal_length_mm / 1000:g} m",
         )
+        if not math.isfinite(self._radius_per_dioptre):
+            raise ValueError(
+                f"f_number is {self.f_number} and pixel_pitch_um is {self.pixel_pitch_um}; "
+                "it takes larger ones, as blur would be infinite"
+            )
 
     @property
     def largest_radius(self) -> float:
