@@ -196,7 +196,7 @@ class Polygon:
         radius = scale * np.sqrt(turn / np.sin(turn))
         if radius <= 0.5:
             return np.ones((1, 1))
-        angle = np.deg2rad(self.rotation % 360) + turn * np.arange(self.blades)
+        angle = np.deg2rad(float(self.rotation) % 360) + turn * np.arange(self.blades)
         half = corners_to(radius)
         corners = np.concatenate([-half[::-1], half])
         below = _polygon_area_below(-radius * np.sin(angle), radius * np.cos(angle), corners)

@@ -294,8 +294,11 @@ def check_weights(smoothness: float, color_sigma: float) -> None:
     check_real("color_sigma", color_sigma, "a finite number above 0")
     if not (math.isfinite(smoothness) and smoothness >= 0):
         raise ValueError(f"smoothness is {smoothness}; it takes a finite number from 0 up")
-    if not (math.isfinite(color_sigma) and color_sigma > 0):
-        raise ValueError(f"color_sigma is {color_sigma}; it takes a finite number above 0")
+    # Its square is divided by, in single precision.
+    if not 1e-15 <= color_sigma <= 1e15:
+        raise ValueError(
+            f"color_sigma is {color_sigma}; it takes a finite number above 0 (1e-15 to 1e15)"
+        )
 
 
 def check_mode(mode: str) -> None:
