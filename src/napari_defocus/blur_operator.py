@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.image import given_array
 from napari_defocus.psf import PSFFamily
 
 Float32 = NDArray[np.float32]
@@ -102,7 +103,7 @@ def half_variance_slope(psf: PSFFamily, blur_map: Float32) -> Float32:
 
 def checked_scales(blur_map: ArrayLike, shape: tuple[int, int], psf: PSFFamily) -> Float32:
     """Check a map of scales against a picture's height and width, and a family's domain."""
-    scales = np.asarray(blur_map)
+    scales = given_array("blur_map", blur_map)
     if scales.shape != shape:
         raise ValueError(f"blur_map has shape {scales.shape}; it takes the picture's, {shape}")
     if scales.dtype.kind not in "uif":

@@ -8,7 +8,7 @@ so that the PSF is what turns the one into the other. Few settings of the lens a
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from datetime import UTC, datetime
 from typing import Any
 
@@ -111,8 +111,12 @@ def calibrate_psf(
     >>> calibrate_psf(pictures).scales.round(1)
     array([1., 3., 5.])
     """
+    try:
+        given = list(pictures)
+    except TypeError:
+        raise TypeError(f"pictures is {pictures!r}; it takes a list of pictures") from None
     blurred = [
-        _luminance(picture, f"pictures[{i}]", intensity_range) for i, picture in enumerate(pictures)
+        _luminance(picture, f"pictures[{i}]", intensity_range) for i, picture in enumerate(given)
     ]
     _check_count("scales", scales, len(blurred))
     _check_count("names", names, len(blurred))
@@ -134,7 +138,7 @@ def calibrate_psf(
     provenance = {
         "made_from": "point sources" if references is None else "sharp and blurred pictures",
         "pictures": len(blurred),
-        "names": None if names is None else list(names),
+        "names": None if names is None else [str(name) for name in names],
         "scales": found.tolist(),
         "scales_were": "measured" if scales is None else "given",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -187,7 +191,11 @@ def _luminance(
 
 
 def _check_count(name: str, values: Sequence[object] | None, count: int) -> None:
-    if values is not None and len(values) != count:
+    if values is None:
+        return
+    if not isinstance(values, Sized) or getattr(values, "shape", None) == ():
+        raise TypeError(f"{name} is {values!r}; it takes one entry a picture")
+    if len(values) != count:
         raise ValueError(f"{name} has {len(values)} entries; it takes one a picture, {count}")
 
 

@@ -30,6 +30,7 @@ from napari_defocus.settings import (
     check_linearize,
     check_mode,
     check_noise_variance,
+    check_real,
     check_stride,
 )
 from napari_defocus.spectrum import (
@@ -239,6 +240,8 @@ def check_not_lazy(candidates: Any) -> None:
 def check_place(row: float, column: float, shape: tuple[int, int]) -> None:
     """Check that a place, in px, is in a picture of a height and width."""
     height, width = shape
+    check_real("row", row, "a place in the picture")
+    check_real("column", column, "a place in the picture")
     if not (0 <= row <= height - 1 and 0 <= column <= width - 1):
         raise ValueError(
             f"(row, column) is ({row}, {column}); it takes a place in the picture of "
@@ -473,9 +476,9 @@ def _check_settings(
         check_noise_variance(noise_variance)
     check_mode(mode)
     check_stride(stride, window)
-    if spectra not in get_args(Spectra):
+    if not isinstance(spectra, str) or spectra not in get_args(Spectra):
         raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
-    if search not in get_args(Search):
+    if not isinstance(search, str) or search not in get_args(Search):
         raise ValueError(f"search is {search!r}; it takes one of {get_args(Search)}")
 
 

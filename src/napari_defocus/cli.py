@@ -73,6 +73,7 @@ from napari_defocus.settings import (
     usual_threshold,
 )
 from napari_defocus.settings_options import SettingsCommand, saved_settings, with_settings
+from napari_defocus.terminal import end_as_after_ctrl_c
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -93,6 +94,7 @@ app = typer.Typer(
 def main() -> None:
     """Run the terminal command; the entry point of ``napari-defocus``."""
     _keep_libraries_quiet()
+    end_as_after_ctrl_c()
     app()
 
 

@@ -133,7 +133,11 @@ def compare_psf(
     >>> compare_psf(picture, [Disc(), Annulus(0.5)]).best
     Annulus(obstruction=0.5, max_radius=8.0)
     """
-    checked = [check_windows(psf, window) for psf in families]
+    try:
+        given = list(families)
+    except TypeError:
+        raise TypeError(f"families is {families!r}; it takes a list, such as [Disc()]") from None
+    checked = [check_windows(psf, window) for psf in given]
     if not checked:
         raise ValueError("families is empty; it takes at least one PSF family")
     check_noise_variance(noise_variance)

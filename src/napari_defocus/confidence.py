@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 
 from napari_defocus.candidates import BlurCandidates, as_lazy
 from napari_defocus.evidence import averaged_curve, informed_share
+from napari_defocus.image import given_array
 from napari_defocus.settings import RestorationSettings, check_risk
 
 Float32 = NDArray[np.float32]
@@ -195,7 +196,7 @@ def likelihood_share(
 
 def checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:
     """Check a blur map against the height and width of its picture, and return it as float32."""
-    radius = np.asarray(blur_map)
+    radius = given_array("blur_map", blur_map)
     if radius.dtype.kind not in "uif":
         raise TypeError(f"blur_map has dtype {radius.dtype}; it takes real numbers")
     if radius.shape != shape:

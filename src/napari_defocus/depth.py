@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.exif import noted_lens
+from napari_defocus.image import given_array
 from napari_defocus.psf import Disc, PSFFamily, as_family, check_number
 from napari_defocus.settings import Side, radius_per_scale
 
@@ -72,9 +73,14 @@ class ThinLens:
         check_number(
             "focus_distance_m",
             self.focus_distance_m,
-            lambda s: s > 0 and self.focal_length_mm / 1000 / s < 1,
+            lambda s: s > 0 and float(self.focal_length_mm) / 1000 / s < 1,
             f"a distance above the focal length, {self.focal_length_mm / 1000:g} m",
         )
+        if not math.isfinite(self._radius_per_dioptre):
+            raise ValueError(
+                f"f_number is {self.f_number} and pixel_pitch_um is {self.pixel_pitch_um}; "
+                "it takes larger ones, as blur would be infinite"
+            )
 
     @property
     def largest_radius(self) -> float:
@@ -87,9 +93,11 @@ class ThinLens:
     @property
     def _radius_per_dioptre(self) -> float:
         """K s: the radius in px over |1/d - 1/s|, in 1/m."""
-        aperture_mm = self.focal_length_mm / self.f_number
-        at_infinity = aperture_mm * self.focal_length_mm / (2 * self.pixel_pitch_um)
-        return at_infinity / (1 - self.focal_length_mm / 1000 / self.focus_distance_m)
+        # In double precision, whatever was given.
+        focal_length_mm = float(self.focal_length_mm)
+        aperture_mm = focal_length_mm / self.f_number
+        at_infinity = aperture_mm * focal_length_mm / (2 * self.pixel_pitch_um)
+        return at_infinity / (1 - focal_length_mm / 1000 / self.focus_distance_m)
 
     @classmethod
     def from_exif(
@@ -286,7 +294,7 @@ def checked_side(side: Side | ArrayLike, shape: tuple[int, ...]) -> NDArray[np.b
         if side not in get_args(Side):
             raise ValueError(f"side is {side!r}; it takes 'far', 'near' or a bool array")
         return np.asarray(side == "far")
-    beyond = np.asarray(side)
+    beyond = given_array("side", side)
     if beyond.dtype.kind != "b":
         raise TypeError(f"side has dtype {beyond.dtype}; it takes 'far', 'near' or bool")
     if beyond.shape != shape:
@@ -303,10 +311,7 @@ def checked_depth(depth: ArrayLike) -> Float64:
 
 
 def _real(name: str, values: ArrayLike) -> Float64:
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise ValueError(f"{name} is no array: {error}") from None
+    array = given_array(name, values)
     if array.dtype.kind not in "uif":
         raise TypeError(f"{name} has dtype {array.dtype}; it takes real numbers")
     return array.astype(np.float64)

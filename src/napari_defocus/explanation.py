@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.candidates import BlurCandidates, check_not_lazy, check_place
 from napari_defocus.confidence import TOLERANCE
 from napari_defocus.evidence import CARRIED_IN, asked_windows, evidence_share
-from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.image import PreparedImage, given_array, prepare_image
+from napari_defocus.settings import check_real
 from napari_defocus.spectrum import LABEL_STEP
 
 if TYPE_CHECKING:
@@ -258,6 +259,13 @@ def draw_explanation(
     >>> axes.get_xlabel()
     'radius (px)'
     """
+    if not isinstance(explanation, PixelExplanation):
+        raise TypeError(f"explanation is {explanation!r}; it takes what explain_pixel returns")
+    check_real("floor", floor, "a finite number below 0")
+    if not -math.inf < floor < 0:
+        raise ValueError(f"floor is {floor}; it takes a finite number below 0")
+    if not hasattr(axes, "plot"):
+        raise TypeError(f"axes is {axes!r}; it takes axes of matplotlib")
     told = explanation
     moved = told.own_log_likelihood is not None
     axes.plot(
@@ -305,7 +313,7 @@ def _value_at(
     """Return the value of a map at a place; None where it has none."""
     if given is None:
         return None
-    values = np.asarray(given)
+    values = given_array(name, given)
     if values.shape != candidates.image_shape:
         raise ValueError(
             f"{name} has shape {values.shape}; it takes the picture's, {candidates.image_shape}"
@@ -330,7 +338,7 @@ def _own_side(
 
     None if it leaves the window its own. It is called on a cut-out that has all that it sees.
     """
-    array = np.asarray(image)
+    array = given_array("image", image)
     if array.shape[:2] != candidates.image_shape:
         raise ValueError(
             f"image has shape {array.shape}; these candidates are of a picture of "

@@ -6,6 +6,7 @@ import os
 import secrets
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from struct import unpack
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,10 @@ PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_BIT_DEPTH_AT = 24
+
+
+_OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError)
+"""What decoders raise that did not expect what they met; it tells a reader of files little."""
 
 
 class UnreadablePicture(ValueError):
@@ -154,7 +159,7 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
     with tifffile.TiffFile(path) as tiff:
         series = _only_series(tiff)
         page = series.keyframe
-        if cut_off(page, tiff.filehandle.size):
+        if planes_are_missing(tiff, series) or cut_off(page, tiff.filehandle.size):
             raise ValueError("the file is cut off")
         pixels = series.asarray()
         if series.axes.startswith("S"):
@@ -192,9 +197,28 @@ def cut_off(page: Any, size: int) -> bool:
     return max(ends, default=0) > size
 
 
+def planes_are_missing(tiff: Any, series: Any) -> bool:
+    """Return whether a file says of more pages than tifffile found; it only logs that."""
+    if tiff.is_imagej and series.kind != "imagej":
+        return int(tiff.imagej_metadata.get("images", 1)) > len(tiff.pages)
+    if series.kind not in ("generic", "uniform"):
+        return False
+    layout, file, last = tiff.tiff, tiff.filehandle, tiff.pages[-1].offset
+    file.seek(last)
+    (tags,) = unpack(layout.tagnoformat, file.read(layout.tagnosize))
+    file.seek(last + layout.tagnosize + tags * layout.tagsize)
+    (following,) = unpack(layout.offsetformat, file.read(layout.offsetsize))
+    return following != 0
+
+
+def color_model(page: Any) -> str:
+    """Return how a page of a TIFF says colours, or the number of none that is known."""
+    return getattr(page.photometric, "name", str(page.photometric))
+
+
 def tiff_colors(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     """Turn pixels of a page of a TIFF, (H, W[, samples]), into grey, RGB or RGBA."""
-    model = page.photometric.name
+    model = color_model(page)
     # tifffile decodes YCbCr only where JPEG does it along the way.
     if model in ("MINISBLACK", "RGB") or (model == "YCBCR" and "JPEG" in page.compression.name):
         return _opacity_last(pixels)
@@ -244,6 +268,10 @@ def reading_failure(error: Exception) -> str:
         return "it is a folder"
     if isinstance(error, UnidentifiedImageError):
         return "it is no picture (PNG, JPEG, TIFF, WebP or BMP)"
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for it"
+    if isinstance(error, _OF_PROGRAMS):
+        return f"it is damaged ({type(error).__name__}: {_in_one_line(error)})"
     return _in_one_line(error)
 
 
@@ -297,7 +325,7 @@ def _refusal(target: Path, force: bool, source: Path | None) -> str | None:
 
 
 def _creation_failure(folder: Path) -> str | None:
-    probe = _unused_name(folder)
+    probe = unused_name(folder)
     try:
         probe.touch(exist_ok=False)
         probe.unlink()
@@ -306,7 +334,8 @@ def _creation_failure(folder: Path) -> str | None:
     return None
 
 
-def _unused_name(folder: Path) -> Path:
+def unused_name(folder: Path) -> Path:
+    """Return a temporary name for a file to come, which no other process takes."""
     return folder / f".napari-defocus-{secrets.token_hex(8)}.part"
 
 
@@ -330,7 +359,7 @@ def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> Non
         is full. No temporary file stays behind, and files that existed are as they were.
     """
     check_results(contents, force=force)
-    parts = {path: _unused_name(path.resolve().parent) for path in contents}
+    parts = {path: unused_name(path.resolve().parent) for path in contents}
     try:
         for path, part in parts.items():
             _write_through(part, contents[path])

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.image import given_array
 from napari_defocus.progress import Progress, silent
-from napari_defocus.settings import CONFIDENT, MaskSettings, check_confidence
+from napari_defocus.settings import CONFIDENT, MaskSettings, check_confidence, check_real
 
 Float64 = NDArray[np.float64]
 
@@ -164,7 +165,7 @@ def focus_curve(
     for number, at in enumerate(np.ndindex(maps.shape[:-2])):
         progress("Reading the planes", number / count)
         found[(slice(None), *at)] = _of_plane(
-            np.asarray(maps[at]),
+            given_array("blur_maps", maps[at]),
             None if masks is None else np.asarray(masks[at]),
             None if sure is None else np.asarray(sure[at]),
             threshold,
@@ -205,7 +206,9 @@ def _of_plane(
 
 def _stack(name: str, array: Any) -> Any:
     """Return something that has a shape and gives its planes by their index, not read yet."""
-    stack = array if hasattr(array, "shape") and hasattr(array, "dtype") else np.asarray(array)
+    stack = (
+        array if hasattr(array, "shape") and hasattr(array, "dtype") else given_array(name, array)
+    )
     if np.dtype(stack.dtype).kind not in "buif":
         raise TypeError(f"{name} has dtype {stack.dtype}; it takes real numbers")
     return stack
@@ -225,5 +228,6 @@ def _like(name: str, array: Any, maps: Any) -> Any:
 
 
 def _check_threshold(threshold: float) -> None:
+    check_real("threshold", threshold, "a finite number of px from 0 up")
     if not (math.isfinite(threshold) and threshold >= 0):
         raise ValueError(f"threshold is {threshold}; it takes a finite number of px from 0 up")

@@ -15,6 +15,8 @@ LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 
 MIN_SIDE = 3
 
+_LARGEST = 1e9
+
 
 @dataclass(frozen=True)
 class PreparedImage:
@@ -66,7 +68,8 @@ def prepare_image(
     TypeError
         If the dtype is not real (object, complex, text).
     ValueError
-        If the shape is none of the above, a side is below 3 px, a value is NaN or infinite,
+        If the shape is none of the above, a side is below 3 px, a value is NaN or infinite, or
+        beyond 1e9 once it is scaled,
         `intensity_range` is not two increasing finite numbers, or `linearize` is unknown.
     """
     check_linearize(linearize)
@@ -86,13 +89,14 @@ def prepare_image(
     intensity /= high - low
     with np.errstate(over="ignore"):
         color = intensity.reshape(*array.shape[:2], -1).astype(np.float32)
-    if not np.isfinite(color).all():
+        if linearize == "srgb":
+            color = decode_srgb(color)
+    # Infinity is above it, too. Fourth powers, such as variances of powers, fit below.
+    if not (np.abs(color) <= _LARGEST).all():
         raise ValueError(
             f"image has values up to {np.abs(array).max():g}; it takes intensities around [0, 1], "
             "or an intensity_range"
         )
-    if linearize == "srgb":
-        color = decode_srgb(color)
     return PreparedImage(color, _luminance(color), opaque)
 
 
@@ -108,11 +112,26 @@ def encode_srgb(light: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(light <= 0.0031308, np.float32(12.92) * light, curved)
 
 
-def _checked_array(image: ArrayLike) -> NDArray[Any]:
+def given_array(name: str, values: ArrayLike) -> NDArray[Any]:
+    """Return an argument as an array, whatever its values.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or a masked array with values that are masked: what is behind a mask
+        would count as the rest does.
+    """
     try:
-        array = np.asarray(image)
+        array = np.asarray(values)
     except ValueError as error:
-        raise ValueError(f"image is no array: {error}") from None
+        raise ValueError(f"{name} is no array: {error}") from None
+    if np.ma.is_masked(values):
+        raise ValueError(f"{name} has masked values; it takes an array without, such as filled()")
+    return array
+
+
+def _checked_array(image: ArrayLike) -> NDArray[Any]:
+    array = given_array("image", image)
     if array.dtype.kind not in "buif":
         raise TypeError(
             f"image has dtype {array.dtype}; it takes a real one (integers, floats or bool)"

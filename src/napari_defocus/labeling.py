@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.axes import arranged_image
 from napari_defocus.boundaries import energy_of_pixels, interpolate_labels, label_pixels
-from napari_defocus.candidates import BlurCandidates, as_lazy, estimate_candidates
+from napari_defocus.candidates import BlurCandidates, as_lazy, check_not_lazy, estimate_candidates
 from napari_defocus.confidence import checked_map, confidence_and_caution, confidence_map
 from napari_defocus.evidence import CARRIED_IN, evidence_share
 from napari_defocus.graphcut import (
@@ -450,6 +450,7 @@ def labeling_energy(
     True
     """
     check_weights(smoothness, color_sigma)
+    check_not_lazy(candidates)
     scales = checked_map(blur_map, candidates.image_shape)
     largest = float(candidates.scales[-1])
     labels = np.rint(scales / LABEL_STEP)

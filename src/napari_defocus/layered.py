@@ -12,10 +12,11 @@ from scipy import fft
 from scipy.ndimage import distance_transform_edt
 from scipy.signal import oaconvolve
 
-from napari_defocus.image import encode_srgb, prepare_image
+from napari_defocus.image import encode_srgb, given_array, prepare_image
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily, as_family
 from napari_defocus.settings import Linearize
+from napari_defocus.simulation import noise_for
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -104,16 +105,15 @@ def simulate_layered_defocus(
     distance = _without_gaps(_checked_depth(depth, picture.shape))
     radii = _checked_radii(radius_of_depth, distance, psf)
     _check_layers(layers)
-    if not (np.isfinite(noise_variance) and noise_variance >= 0):
-        raise ValueError(f"noise_variance is {noise_variance}; it takes a finite number from 0 up")
+    noise = noise_for(noise_variance, rng)
     scene = Layers.cut(distance, layers)
     kernels = [psf.kernel(min(mean, psf.max_scale)) for mean in scene.mean(radii)]
     seen = spread_layers(picture.color, scene, kernels)
     if linearize == "srgb":
         seen = encode_srgb(seen)
     if noise_variance > 0:
-        noise = np.random.default_rng(rng).standard_normal(seen.shape, np.float32)
-        seen += np.float32(np.sqrt(noise_variance)) * noise
+        white = noise.standard_normal(seen.shape, np.float32)
+        seen += np.float32(np.sqrt(noise_variance)) * white
     return seen[..., 0] if seen.shape[2] == 1 else seen, radii.astype(np.float32)
 
 
@@ -261,7 +261,7 @@ def _checked_radii(
 
 
 def _checked_plane(found: str, values: ArrayLike, shape: tuple[int, ...]) -> Float64:
-    array = np.asarray(values)
+    array = given_array(found.split()[0], values)
     if array.dtype.kind not in "uif":
         raise TypeError(f"{found} dtype {array.dtype}; it takes real numbers")
     if array.shape != shape:

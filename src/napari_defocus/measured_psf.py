@@ -18,12 +18,20 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import convolve
 
 import napari_defocus
-from napari_defocus.psf import check_largest, checked_kernels, corners_to, real_array
+from napari_defocus.psf import (
+    check_largest,
+    checked_kernels,
+    checked_scale,
+    corners_to,
+    real_array,
+)
 
 Float64 = NDArray[np.floating]
 
 _SMALLEST_RATIO = 1e-3
 _INVISIBLE = 1e-6
+_LARGEST_FILE = 2**30
+"""Bytes that a file may unpack to; 100 kernels of 501 px are 0.2 GB."""
 _FORMAT = "napari-defocus measured PSF, 1"
 
 
@@ -113,10 +121,11 @@ class MeasuredPSF:
         object.__setattr__(self, "scales", checked_scales)
         object.__setattr__(self, "kernels", stack)
         object.__setattr__(self, "max_scale", largest)
-        object.__setattr__(self, "provenance", _checked_provenance(provenance or {}))
+        object.__setattr__(self, "provenance", _checked_provenance(provenance))
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the kernel at `scale` (px), between those that were measured; sum 1."""
+        scale = checked_scale(scale)
         first = self._first_aperture
         above = int(np.clip(np.searchsorted(self.scales, scale), first, len(self.scales) - 1))
         kernel = self._sum_scaled(self._details[above:], scale)
@@ -221,6 +230,9 @@ class MeasuredPSF:
         """
         try:
             with np.load(path, allow_pickle=False) as file:
+                unpacked = sum(part.file_size for part in file.zip.infolist())
+                if unpacked > _LARGEST_FILE:
+                    raise ValueError(f"it unpacks to {unpacked} bytes")
                 if str(file["format"]) != _FORMAT:
                     raise ValueError(f"its format is {str(file['format'])!r}, not {_FORMAT!r}")
                 return cls(
@@ -248,7 +260,11 @@ def _checked_scales(scales: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def _checked_provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
+def _checked_provenance(provenance: Mapping[str, Any] | None) -> dict[str, Any]:
+    if provenance is None:
+        return {}
+    if not isinstance(provenance, Mapping):
+        raise TypeError(f"provenance is {provenance!r}; it takes a dict, or None")
     try:
         return json.loads(json.dumps(dict(provenance)))
     except (TypeError, ValueError) as error:

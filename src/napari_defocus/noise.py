@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.ndimage import correlate1d, uniform_filter
 from scipy.optimize import nnls
 
 from napari_defocus.image import PreparedImage, prepare_image
-from napari_defocus.settings import Linearize, MapSettings
+from napari_defocus.settings import Linearize, MapSettings, check_real
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -62,8 +63,8 @@ class ShotNoise:
 
     Raises
     ------
-    ValueError
-        If one is negative or not finite, or both are 0.
+    TypeError, ValueError
+        If one is no number, negative or not finite, or both are 0.
 
     Examples
     --------
@@ -77,7 +78,8 @@ class ShotNoise:
     def __post_init__(self) -> None:
         for name in ("read_variance", "gain"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
+            check_real(name, value, "a finite number from 0 up")
+            if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is {value}; it takes a finite number from 0 up")
         if self.read_variance == self.gain == 0:
             raise ValueError("read_variance and gain are both 0; one of them takes more")

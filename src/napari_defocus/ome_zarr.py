@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from napari_defocus.files import UnreadablePicture
-from napari_defocus.lazy_arrays import block_side, need_large_extra
+from napari_defocus.files import UnreadablePicture, reading_failure
+from napari_defocus.lazy_arrays import block_side, lazy_array, need_large_extra
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -98,8 +99,7 @@ def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
         return _picture(Path(path).absolute())
     # Zarr and damaged metadata raise anything.
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UnreadablePicture(f"cannot read {path}: {reason}") from error
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
 
 
 def _picture(path: Path) -> OmeZarrPicture:
@@ -120,7 +120,7 @@ def _picture(path: Path) -> OmeZarrPicture:
     scale, units = _scale_and_units(multiscale, declared, letters)
     channels = about.get("omero", attributes.get("omero", {})).get("channels", [])
     return OmeZarrPicture(
-        levels=tuple(_lazy(array, letters).transpose(order) for array in arrays),
+        levels=tuple(_lazy(array, letters, path).transpose(order) for array in arrays),
         axes="".join(letters[i] for i in order),
         scale=scale,
         units=units,
@@ -188,15 +188,37 @@ def _check_arrays(arrays: list[Any], letters: str) -> None:
             raise ValueError(f"it is empty: its shape is {array.shape}")
 
 
-def _lazy(array: Any, letters: str) -> da.Array:
-    import dask.array as da
+@dataclass(frozen=True, eq=False)
+class _Stored:
+    """An array of a store whose damaged chunks are errors that name the store."""
 
+    array: Any
+    path: Path
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(self.array.shape)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return np.dtype(self.array.dtype)
+
+    def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
+        # Codecs raise anything.
+        try:
+            return np.asarray(self.array[region])
+        except Exception as error:
+            reason = reading_failure(error)
+            raise UnreadablePicture(f"cannot read {self.path}: {reason}") from error
+
+
+def _lazy(array: Any, letters: str, path: Path) -> da.Array:
     stored = array.shards or array.chunks
     blocks = tuple(
         block_side(chunk, size) if letter in "yx" else chunk
         for chunk, size, letter in zip(stored, array.shape, letters, strict=True)
     )
-    data = da.from_array(array, chunks=blocks, fancy=False, name=False)
+    data = lazy_array(_Stored(array, path), blocks)
     return data.astype(data.dtype.newbyteorder("="))
 
 
@@ -217,6 +239,6 @@ def _scale_and_units(
     scale = {
         letter: float(factor)
         for letter, factor in zip(letters, factors, strict=True)
-        if letter in units or (factor != 1.0 and letter != "c")
+        if 0 < factor < np.inf and (letter in units or (factor != 1.0 and letter != "c"))
     }
     return scale, units

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf, gammaincinv, gammaln
 
-from napari_defocus.settings import MapSettings
+from napari_defocus.settings import MapSettings, check_real
 
 Float64 = NDArray[np.floating]
 
@@ -27,6 +27,8 @@ _GAUSSIAN_CUT = 4.0
 _TAIL = 1e-4
 _NODES = 128
 _ROUNDING = 1e-9
+_LARGEST_SCALE = 10_000
+"""px; the kernel of a disc of that radius takes 3 GB."""
 
 
 @runtime_checkable
@@ -86,6 +88,7 @@ class Disc:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the area-coverage disc of radius `scale` (px), normalised to sum 1."""
+        scale = checked_scale(scale)
         return _from_quadrant(_disc_area(corners_to(scale), max(scale, 0.5)))
 
 
@@ -128,6 +131,7 @@ class Annulus:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the area-coverage ring of outer radius `scale` (px), normalised to sum 1."""
+        scale = checked_scale(scale)
         outer = max(scale, 0.5)
         area = _disc_area(corners_to(outer), outer)
         if self.obstruction > 0:
@@ -187,11 +191,12 @@ class Polygon:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the area-coverage polygon as large as a disc of radius `scale` (px), sum 1."""
+        scale = checked_scale(scale)
         turn = 2 * np.pi / self.blades
         radius = scale * np.sqrt(turn / np.sin(turn))
         if radius <= 0.5:
             return np.ones((1, 1))
-        angle = np.deg2rad(self.rotation) + turn * np.arange(self.blades)
+        angle = np.deg2rad(float(self.rotation) % 360) + turn * np.arange(self.blades)
         half = corners_to(radius)
         corners = np.concatenate([-half[::-1], half])
         below = _polygon_area_below(-radius * np.sin(angle), radius * np.cos(angle), corners)
@@ -235,6 +240,7 @@ class Gaussian:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the Gaussian of sigma `scale` (px), integrated over pixels, sum 1."""
+        scale = checked_scale(scale)
         reach = _GAUSSIAN_CUT * scale
         half = np.minimum(corners_to(reach), reach) if reach > 0.5 else np.ones(1)
         below = erf(np.concatenate([-half[::-1], half]) / (np.sqrt(2) * max(scale, 0.1)))
@@ -287,6 +293,7 @@ class GeneralizedGaussian:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the profile of sigma `scale` (px), integrated over pixels, sum 1."""
+        scale = checked_scale(scale)
         radii, weights = self._discs
         radii = radii * scale
         if radii[-1] <= 0.5:
@@ -349,6 +356,7 @@ class KernelFunction:
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return what the function gives at `scale` (px), normalised to sum 1."""
+        scale = checked_scale(scale)
         if scale <= 0:
             return np.ones((1, 1))
         return checked_kernels(
@@ -383,8 +391,16 @@ def check_number(
     """Check one parameter of a family: its type, and whether it fits."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} is {value!r}; it takes {takes}")
+    check_real(name, value, takes)
     if not fits(value):
         raise ValueError(f"{name} is {value}; it takes {takes}")
+
+
+def checked_scale(scale: float) -> float:
+    """Check the scale that a kernel is asked for, in px; what is below 0 is a point, as 0 is."""
+    takes = f"a number of px up to {_LARGEST_SCALE}"
+    check_number("scale", scale, lambda s: -math.inf < s <= _LARGEST_SCALE, takes)
+    return max(float(scale), 0.0)
 
 
 def check_largest(name: str, value: float) -> None:

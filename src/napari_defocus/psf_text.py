@@ -44,6 +44,8 @@ def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
 
     Raises
     ------
+    TypeError
+        If it is no text.
     ValueError
         If the text says none of these, a parameter is out of its range, or the file cannot be
         read.
@@ -53,6 +55,8 @@ def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
     >>> psf_from_text("polygon:6:15", max_scale=5.0)
     Polygon(blades=6, rotation=15.0, max_radius=5.0)
     """
+    if not isinstance(text, str):
+        raise TypeError(f"text is {text!r}; it takes {PSF_TEXTS}")
     if text.lower().endswith(".npz"):
         measured = MeasuredPSF.load(text)
         return measured if max_scale is None else replace(measured, max_scale=max_scale)

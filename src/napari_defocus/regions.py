@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.files import write_results
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.image import given_array
+from napari_defocus.settings import CONFIDENT, check_real
 
 MIN_AREA = 16
 """Smaller regions, in px, are left out unless another area is asked for: one block of the map."""
@@ -130,7 +131,8 @@ def measure_regions(
     from skimage.measure import label
 
     mask = _checked_mask(in_focus)
-    if min_area < 1 or min_area != int(min_area):
+    check_real("min_area", min_area, "a whole number of px from 1 up")
+    if not 1 <= min_area < math.inf or min_area != int(min_area):
         raise ValueError(f"min_area is {min_area!r}; it takes a whole number of px from 1 up")
     measures = _Measures.of(mask.shape, blur_map, confidence, pixel_size, unit)
     found = label(mask, connectivity=_EIGHT_NEIGHBOURS)
@@ -188,7 +190,7 @@ class _Measures:
             _checked_values("blur_map", blur_map, shape, math.inf, "finite scales from 0 px up"),
             _checked_values("confidence", confidence, shape, 1.0, "values from 0 to 1"),
             _pixel_area(pixel_size),
-            unit.replace("µ", "u").replace("μ", "u"),
+            _checked_unit(unit).replace("µ", "u").replace("μ", "u"),
         )
 
     def at(self, where: NDArray[np.bool_], box: tuple[slice, ...]) -> dict[str, float]:
@@ -240,7 +242,7 @@ def _row(region: Any, size: int, measures: _Measures) -> dict[str, Any]:
 
 
 def _checked_mask(in_focus: ArrayLike) -> NDArray[np.bool_]:
-    mask = np.asarray(in_focus)
+    mask = given_array("in_focus", in_focus)
     if mask.dtype.kind not in "bui":
         raise TypeError(f"in_focus has dtype {mask.dtype}; it takes bool or integers")
     if mask.ndim != 2 or not mask.size:
@@ -253,7 +255,7 @@ def _checked_values(
 ) -> NDArray[Any] | None:
     if given is None:
         return None
-    values = np.asarray(given)
+    values = given_array(name, given)
     if values.dtype.kind not in "uif":
         raise TypeError(f"{name} has dtype {values.dtype}; it takes real numbers")
     if values.shape != shape:
@@ -266,10 +268,21 @@ def _checked_values(
     return values
 
 
+def _checked_unit(unit: str) -> str:
+    if not isinstance(unit, str):
+        raise TypeError(f"unit is {unit!r}; it takes a text such as 'um'")
+    return unit
+
+
 def _pixel_area(pixel_size: float | Sequence[float] | None) -> float | None:
     if pixel_size is None:
         return None
-    sides = np.atleast_1d(np.asarray(pixel_size, np.float64))
+    try:
+        sides = np.atleast_1d(np.asarray(pixel_size, np.float64))
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"pixel_size is {pixel_size!r}; it takes a number, or two for height and width"
+        ) from None
     if sides.shape not in ((1,), (2,)) or not ((sides > 0) & np.isfinite(sides)).all():
         raise ValueError(
             f"pixel_size is {pixel_size}; it takes a positive number, or two for height and width"

@@ -35,6 +35,7 @@ from napari_defocus.image import (
     PreparedImage,
     decode_srgb,
     encode_srgb,
+    given_array,
     prepare_image,
 )
 from napari_defocus.lazy_arrays import need_large_extra
@@ -473,7 +474,7 @@ def _smoothness_form(stiffness: Float32, picture: Float32) -> Float32:
 
 
 def _checked_confidence(confidence: ArrayLike, shape: tuple[int, int]) -> Float32:
-    array = np.asarray(confidence)
+    array = given_array("confidence", confidence)
     if array.dtype.kind not in "buif":
         raise TypeError(f"confidence has dtype {array.dtype}; it takes real numbers")
     if array.shape != shape:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.image import given_array
+
 NOT_KNOWN, IN_FOCUS, BLURRED = 0, 1, 2
 """What a pixel of seeds says."""
 
@@ -19,10 +21,7 @@ def checked_seeds(seeds: ArrayLike, shape: tuple[int, int]) -> NDArray[np.intege
     ValueError
         If they have another shape, or values beside 0, 1 and 2.
     """
-    try:
-        array = np.asarray(seeds)
-    except ValueError as error:
-        raise ValueError(f"seeds is no array: {error}") from None
+    array = given_array("seeds", seeds)
     if array.dtype.kind not in "ui":
         raise TypeError(f"seeds has dtype {array.dtype}; it takes integers")
     if array.shape != tuple(shape):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Integral, Rational, Real
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:
@@ -224,37 +224,51 @@ class RefocusSettings:
         check_linearize(self.linearize)
 
 
+def check_real(name: str, value: Any, takes: str) -> None:
+    """Refuse, naming it, what is no real number; comparing it would fail without a name.
+
+    Fractions are none here: NumPy and numba do not count with them.
+    """
+    fraction = isinstance(value, Rational) and not isinstance(value, Integral)
+    if not isinstance(value, Real) or fraction:
+        raise TypeError(f"{name} is {value!r}; it takes {takes}")
+
+
 def check_focus(focus: Any) -> None:
     """Check the scale that shall be sharp, in px."""
-    if not isinstance(focus, Real):
-        raise TypeError(f"focus is {focus!r}; it takes a finite number of px")
+    check_real("focus", focus, "a finite number of px")
     if not math.isfinite(focus):
         raise ValueError(f"focus is {focus}; it takes a finite number of px")
 
 
 def check_aperture(aperture: Any) -> None:
     """Check the factor of all blur."""
-    if not isinstance(aperture, Real):
-        raise TypeError(f"aperture is {aperture!r}; it takes a finite number from 0 up")
+    check_real("aperture", aperture, "a finite number from 0 up")
     if not 0 <= float(aperture) < math.inf:
         raise ValueError(f"aperture is {aperture}; it takes a finite number from 0 up")
 
 
 def check_side(side: str) -> None:
     """Check the name of a side of the focus."""
-    if side not in get_args(Side):
+    if not isinstance(side, str) or side not in get_args(Side):
         raise ValueError(f"side is {side!r}; it takes one of {get_args(Side)}")
 
 
 def check_tv_weight(tv_weight: float | None) -> None:
     """Check lambda of (19); None derives it from the noise variance."""
-    if tv_weight is not None and not (math.isfinite(tv_weight) and tv_weight > 0):
+    if tv_weight is None:
+        return
+    check_real("tv_weight", tv_weight, "a finite number above 0, or None")
+    if not (math.isfinite(tv_weight) and tv_weight > 0):
         raise ValueError(f"tv_weight is {tv_weight}; it takes a finite number above 0, or None")
 
 
 def check_noise_variance(noise_variance: float | None) -> None:
     """Check the noise variance of an estimation; None finds it from the picture."""
-    if noise_variance is not None and not (math.isfinite(noise_variance) and noise_variance >= 0):
+    if noise_variance is None:
+        return
+    check_real("noise_variance", noise_variance, "a finite number from 0 up, or None")
+    if not (math.isfinite(noise_variance) and noise_variance >= 0):
         raise ValueError(
             f"noise_variance is {noise_variance}; it takes a finite number from 0 up, or None"
         )
@@ -276,20 +290,26 @@ def check_stride(stride: Any, window: int) -> None:
 
 def check_weights(smoothness: float, color_sigma: float) -> None:
     """Check the parameters of (16)."""
+    check_real("smoothness", smoothness, "a finite number from 0 up")
+    check_real("color_sigma", color_sigma, "a finite number above 0")
     if not (math.isfinite(smoothness) and smoothness >= 0):
         raise ValueError(f"smoothness is {smoothness}; it takes a finite number from 0 up")
-    if not (math.isfinite(color_sigma) and color_sigma > 0):
-        raise ValueError(f"color_sigma is {color_sigma}; it takes a finite number above 0")
+    # Its square is divided by, in single precision.
+    if not 1e-15 <= color_sigma <= 1e15:
+        raise ValueError(
+            f"color_sigma is {color_sigma}; it takes a finite number above 0 (1e-15 to 1e15)"
+        )
 
 
 def check_mode(mode: str) -> None:
     """Check the name of a mode."""
-    if mode not in get_args(Mode):
+    if not isinstance(mode, str) or mode not in get_args(Mode):
         raise ValueError(f"mode is {mode!r}; it takes one of {get_args(Mode)}")
 
 
 def check_threshold(threshold: float, max_scale: float) -> None:
     """Check tau of (18) against the largest scale that is looked for, in px."""
+    check_real("threshold", threshold, "a number of px")
     if not 0 <= threshold < max_scale:
         raise ValueError(
             f"threshold is {threshold}; it takes a scale from 0 to below {max_scale:g} px, "
@@ -299,19 +319,23 @@ def check_threshold(threshold: float, max_scale: float) -> None:
 
 def check_risk(risk: float) -> None:
     """Check the risk of taking too much blur away."""
+    check_real("risk", risk, "a number from 0 to 1")
     if not 0 <= risk <= 1:
         raise ValueError(f"risk is {risk}; it takes a number from 0 to 1")
 
 
 def check_confidence(name: str, confidence: float) -> None:
     """Check a limit for the confidence."""
+    check_real(name, confidence, "a number from 0 to 1")
     if not 0 <= confidence <= 1:
         raise ValueError(f"{name} is {confidence}; it takes a number from 0 to 1")
 
 
 def check_linearize(linearize: str | None) -> None:
     """Check the name of an encoding; None leaves intensities as they are."""
-    if linearize is not None and linearize not in get_args(Linearize):
+    if linearize is None:
+        return
+    if not isinstance(linearize, str) or linearize not in get_args(Linearize):
         raise ValueError(
             f"linearize is {linearize!r}; it takes one of {get_args(Linearize)}, or None"
         )

@@ -79,6 +79,8 @@ class Settings:
 
         Raises
         ------
+        TypeError
+            If a setting is what no file can hold.
         OSError
             If the file exists and `overwrite` is not set, or cannot be written; the message
             has the path and the reason.
@@ -110,7 +112,20 @@ _PARTS: dict[str, type[Any]] = get_type_hints(Settings)
 def encoded_settings(parts: Mapping[str, Mapping[str, Any]]) -> bytes:
     """Return what a settings file with these parts, or some of their keys, holds."""
     content = {VERSION_KEY: napari_defocus.__version__, **parts}
-    return f"{json.dumps(content, indent=2, ensure_ascii=False)}\n".encode()
+    try:
+        text = json.dumps(content, indent=2, ensure_ascii=False)
+    except TypeError:
+        raise TypeError(f"{_not_for_json(parts)}; it takes numbers, text and bool") from None
+    return f"{text}\n".encode()
+
+
+def _not_for_json(parts: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return which key holds what."""
+    for part, values in parts.items():
+        for key, value in values.items():
+            if not isinstance(value, str | int | float | None):
+                return f"{part}.{key} is {value!r}"
+    return "a key is no text"
 
 
 def said_in(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:

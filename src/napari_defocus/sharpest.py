@@ -21,6 +21,7 @@ from napari_defocus.settings import (
     MapSettings,
     check_linearize,
     check_noise_variance,
+    check_real,
     check_stride,
     check_weights,
 )
@@ -225,6 +226,8 @@ def sharpest_plane(
 def _check_settings(
     px_per_plane: float | None, noise_variance: float | None, stride: int, window: int
 ) -> None:
+    if px_per_plane is not None:
+        check_real("px_per_plane", px_per_plane, "a finite number above 0, or None")
     if px_per_plane is not None and not (math.isfinite(px_per_plane) and px_per_plane > 0):
         raise ValueError(
             f"px_per_plane is {px_per_plane}; it takes a finite number above 0, or None"

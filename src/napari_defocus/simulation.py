@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.blur_operator import BlurOperator, checked_scales
 from napari_defocus.image import prepare_image
-from napari_defocus.psf import Disc, PSFFamily, as_family
+from napari_defocus.psf import Disc, PSFFamily, as_family, check_number
 
 Float32 = NDArray[np.float32]
 
@@ -65,11 +67,22 @@ def simulate_defocus(
     psf = as_family(psf)
     picture = prepare_image(image, intensity_range)
     scales = checked_scales(blur_map, picture.shape, psf)
-    if not (np.isfinite(noise_variance) and noise_variance >= 0):
-        raise ValueError(f"noise_variance is {noise_variance}; it takes a finite number from 0 up")
+    noise = noise_for(noise_variance, rng)
     blur = BlurOperator(scales, psf, picture.color.shape[2])
     blurred = blur.apply(blur.extend(picture.color))
     if noise_variance > 0:
-        noise = np.random.default_rng(rng).standard_normal(blurred.shape, np.float32)
-        blurred += np.float32(np.sqrt(noise_variance)) * noise
+        white = noise.standard_normal(blurred.shape, np.float32)
+        blurred += np.float32(np.sqrt(noise_variance)) * white
     return blurred[..., 0] if blurred.shape[2] == 1 else blurred
+
+
+def noise_for(noise_variance: float, rng: int | np.random.Generator | None) -> np.random.Generator:
+    """Check the noise that a simulation is asked for, and return where it comes from."""
+    takes = "a finite number from 0 up"
+    check_number("noise_variance", noise_variance, lambda v: 0 <= v < math.inf, takes)
+    try:
+        return np.random.default_rng(rng)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"rng is {rng!r}; it takes a whole number from 0 up, a Generator of NumPy, or None"
+        ) from None

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.axes import axis_roles
-from napari_defocus.image import MIN_SIDE
+from napari_defocus.image import MIN_SIDE, given_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,11 @@ class StackPlanes:
         ValueError
             If it has other axes than planes, rows, columns and colours, or only one plane.
         """
-        array = stack if hasattr(stack, "shape") and hasattr(stack, "dtype") else np.asarray(stack)
+        array = (
+            stack
+            if hasattr(stack, "shape") and hasattr(stack, "dtype")
+            else given_array("stack", stack)
+        )
         if np.dtype(array.dtype).kind not in "buif":
             raise TypeError(f"stack has dtype {array.dtype}; it takes real numbers")
         shape = tuple(int(length) for length in array.shape)
@@ -77,7 +81,7 @@ class StackPlanes:
         ValueError
             If it has NaN or infinite values.
         """
-        plane = np.asarray(self.stack[(slice(None),) * self.plane_axis + (number,)])
+        plane = given_array("stack", self.stack[(slice(None),) * self.plane_axis + (number,)])
         if plane.dtype.kind == "f" and not np.isfinite(plane).all():
             raise ValueError(
                 f"stack has NaN or infinite values in plane {number}; it takes finite ones"

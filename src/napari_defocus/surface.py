@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.depth import checked_depth
-from napari_defocus.image import prepare_image
+from napari_defocus.image import given_array, prepare_image
 from napari_defocus.psf import check_number
 
 Float32 = NDArray[np.float32]
@@ -205,7 +205,7 @@ def picture_colors(
 
 
 def _checked_scale(blur_map: ArrayLike) -> Float64:
-    scale = np.asarray(blur_map)
+    scale = given_array("blur_map", blur_map)
     if scale.dtype.kind not in "uif":
         raise TypeError(f"blur_map has dtype {scale.dtype}; it takes real numbers")
     if scale.ndim != 2 or min(scale.shape) < 2:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,13 +13,45 @@ import typer
 from napari_defocus.progress import Progress, silent
 
 FAILED, INTERRUPTED = 2, 130
+_ENDED_BY_SIGNAL = 128
+
+
+class Ended(KeyboardInterrupt):
+    """Somebody ends this process, politely: what is half-written goes, as after Ctrl-C."""
+
+    def __init__(self, signal_number: int) -> None:
+        super().__init__()
+        self.code = _ENDED_BY_SIGNAL + signal_number
+
+
+def end_as_after_ctrl_c() -> None:
+    """Let SIGTERM and a closed terminal, too, leave nothing half-written.
+
+    What is ignored, as `nohup` has it, stays so.
+    """
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _end)
+
+
+def _end(number: int, frame: object) -> None:
+    # Once: what cleans up is not interrupted by the next one.
+    signal.signal(number, signal.SIG_IGN)
+    raise Ended(number)
 
 
 @contextmanager
 def errors_in_one_line() -> Iterator[None]:
-    """End a command with one line on standard error and exit code 2, or 130 if interrupted."""
+    """End a command with one line on standard error and exit code 2, or 130 if interrupted.
+
+    After a signal such as SIGTERM it is 128 and its number.
+    """
     try:
         yield
+    except Ended as error:
+        _complain("ended")
+        raise typer.Exit(error.code) from None
     except KeyboardInterrupt:
         _complain("interrupted")
         raise typer.Exit(INTERRUPTED) from None

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import product
 from math import prod
 from pathlib import Path
-from struct import unpack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +14,9 @@ from numpy.typing import NDArray
 
 from napari_defocus.files import (
     UnreadablePicture,
+    color_model,
     cut_off,
+    planes_are_missing,
     reading_failure,
     tiff_colors,
     upright,
@@ -201,7 +202,7 @@ def open_tiff(path: Path) -> tuple[da.Array, str, Scale]:
         series = tiff.series[number]
         if series.dtype is None or series.dtype.kind not in "buif":
             raise ValueError(f"it holds {series.dtype}; real numbers are read")
-        if _planes_are_missing(tiff, series):
+        if planes_are_missing(tiff, series):
             raise ValueError("the file is cut off")
         if _is_memory(tiff, series):
             data, axes = _mapped(series)
@@ -223,23 +224,9 @@ def _series_number(tiff: Any) -> int:
     return 0 if kind in _SLIDE_KINDS else pixels.index(max(pixels))
 
 
-def _planes_are_missing(tiff: Any, series: Any) -> bool:
-    """Return whether a file says of more pages than tifffile found; it only logs that."""
-    if tiff.is_imagej and series.kind != "imagej":
-        return int(tiff.imagej_metadata.get("images", 1)) > len(tiff.pages)
-    if series.kind not in ("generic", "uniform"):
-        return False
-    layout, file, last = tiff.tiff, tiff.filehandle, tiff.pages[-1].offset
-    file.seek(last)
-    (tags,) = unpack(layout.tagnoformat, file.read(layout.tagnosize))
-    file.seek(last + layout.tagnosize + tags * layout.tagsize)
-    (following,) = unpack(layout.offsetformat, file.read(layout.offsetsize))
-    return following != 0
-
-
 def _is_memory(tiff: Any, series: Any) -> bool:
     page = series.keyframe
-    plain = page.photometric.name in ("MINISBLACK", "RGB") or tiff.is_imagej
+    plain = color_model(page) in ("MINISBLACK", "RGB") or tiff.is_imagej
     samples = page.samplesperpixel in (1, 3, 4)
     memory = series.dataoffset is not None and page.bitspersample % 8 == 0
     return bool(plain and samples and memory and not page.is_tiled)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import napari_defocus
-from napari_defocus.files import UnwritableResult, check_results
+from napari_defocus.files import UnwritableResult, check_results, unused_name
 from napari_defocus.pyramid import halved, level_shapes
 from napari_defocus.results import SOFTWARE, description_in_tiff
 
@@ -57,8 +57,8 @@ def write_pyramidal_tiff(
     """Write a map, a picture or a stack as a tiled TIFF with smaller levels.
 
     It appears whole or not at all. A row of tiles, or of dask's blocks, is computed and held at a
-    time, and each is computed once if blocks hold one plane: smaller levels wait in a scratch
-    file beside `path`, which takes a third of the data's bytes and is gone at the end. Planes
+    time, and each is computed once if blocks hold one plane: smaller levels wait in scratch
+    files without a name beside `path`, which take a third of the data's bytes. Planes
     along t, c and z make it an OME-TIFF; along others, `axes` of the description
     says so.
 
@@ -107,21 +107,17 @@ def write_pyramidal_tiff(
     about = _checked_description(description, tuple(data.shape), axes)
     check_results([Path(path)], force=force)
     target = Path(path).resolve()
-    part, scratch = (target.with_name(f".{target.name}.{what}") for what in ("part", "levels"))
+    part = unused_name(target.parent)
     options = _page_options(data, axes) | _noted(axes, np.dtype(data.dtype), scale, units, about)
     levels = _Levels(data, axes, labels=labels)
     try:
-        # A killed run may have left one.
-        shutil.rmtree(scratch, ignore_errors=True)
-        scratch.mkdir()
-        levels.wait_in(scratch)
+        levels.wait_in(target.parent)
         _write(part, levels, options)
         part.replace(target)
     except OSError as error:
         raise UnwritableResult(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         levels.arrays.clear()
-        shutil.rmtree(scratch, ignore_errors=True)
         part.unlink(missing_ok=True)
     return Path(path)
 
@@ -179,9 +175,11 @@ class _Levels:
         self.arrays = [data]
 
     def wait_in(self, folder: Path) -> None:
-        """Keep the smaller levels, until they are written, in files of a folder."""
-        for level, shape in enumerate(self.shapes[1:], 1):
-            self.arrays.append(np.memmap(folder / str(level), self.dtype, "w+", shape=shape))
+        """Keep the smaller levels, until they are written, in files without a name in a folder."""
+        for shape in self.shapes[1:]:
+            with tempfile.TemporaryFile(dir=folder) as file:
+                _allocate(file.fileno(), prod(shape) * self.dtype.itemsize)
+                self.arrays.append(np.memmap(file, self.dtype, "r+", shape=shape))
 
     def tiles(self, level: int) -> Iterator[NDArray[Any]]:
         """Yield the tiles of a level, plane by plane and row by row; the level above is filled."""
@@ -200,6 +198,15 @@ class _Levels:
             return halved(rows, labels=self.labels)
         colors = [halved(rows[..., i], labels=self.labels) for i in range(rows.shape[2])]
         return np.stack(colors, axis=-1)
+
+
+def _allocate(file: int, size: int) -> None:
+    """Make a file so long, or fail: writing into a mapping on a full disk ends the process."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file, 0, size)
+        return
+    for _ in range(0, size, _BUFFER):
+        os.write(file, bytes(_BUFFER))
 
 
 def _tile_rows(data: Any, plane: tuple[int, ...]) -> Iterator[NDArray[Any]]:
