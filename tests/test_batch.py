@@ -176,6 +176,22 @@ def test_plane_that_fails_is_nan_until_it_is_measured(stack, tmp_path, monkeypat
     assert contents(tmp_path / "out") == contents(calm.table.parent)
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"inputs": 5}, "inputs is int"),
+        ({"inputs": [5]}, "inputs holds a int"),
+        ({"output": 5}, "output is int"),
+        ({"confidence": "yes"}, "confidence is 'yes'"),
+        ({"restore": np.eye(3)}, "restore is array"),
+    ],
+)
+def test_what_is_of_another_type_is_refused(tmp_path, photographs, given, message):
+    with pytest.raises(TypeError, match=message):
+        measure_batch(**{"inputs": photographs, "output": tmp_path / "out"} | given)
+    assert not (tmp_path / "out").exists()
+
+
 def test_two_batches_at_once_do_not_meet_in_one_folder(tmp_path, photographs):
     refused = []
 

@@ -14,6 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+import numpy as np
+
 import napari_defocus
 from napari_defocus.batch_files import BatchFolder
 from napari_defocus.batch_parts import PartNote, PlaneInParts
@@ -159,6 +161,9 @@ def measure_batch(
     (2, 0, ['status', 'done', 'done'])
     """
     need_large_extra()
+    for name, value in {"confidence": confidence, "mask": mask, "restore": restore}.items():
+        if not isinstance(value, bool | np.bool_):
+            raise TypeError(f"{name} is {value!r}; it takes True or False")
     asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
     plan = _checked(
         BatchPlan(
@@ -169,8 +174,10 @@ def measure_batch(
             block_size=block_size,
         )
     )
-    if file_format not in get_args(FileFormat):
+    if not isinstance(file_format, str) or file_format not in get_args(FileFormat):
         raise ValueError(f"file_format is {file_format!r}; it takes one of {get_args(FileFormat)}")
+    if not isinstance(output, str | os.PathLike):
+        raise TypeError(f"output is {type(output).__name__}; it takes the path of a folder")
     folder = BatchFolder(Path(output).absolute())
     sources = _sources(inputs, folder)
     made_with = json.loads(json.dumps(plan.facts() | {"file_format": file_format}))
@@ -208,7 +215,13 @@ def _sources(
     inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str], folder: BatchFolder
 ) -> list[Path]:
     """Return the sources, without the results of an earlier run that a pattern finds."""
-    given = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
+    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    if not isinstance(given, Iterable):
+        raise TypeError(f"inputs is {type(inputs).__name__}; it takes paths")
+    given = list(given)
+    for one in given:
+        if not isinstance(one, str | os.PathLike):
+            raise TypeError(f"inputs holds a {type(one).__name__}; it takes paths")
     named = {Path(one).resolve() for one in given}
     results, found = folder.results.resolve(), []
     for source in find_sources(given):

@@ -168,7 +168,9 @@ def batch(
 
     def work(progress: Progress) -> dict[str, Any]:
         from napari_defocus.cluster import dask_client
+        from napari_defocus.sources import find_sources
 
+        find_sources(inputs)  # what is not there is told before workers start
         check_tv_weight(tv_weight)
         check_risk(risk)
         map_settings = MapSettings(
