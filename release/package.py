@@ -73,7 +73,6 @@ def check_package(arguments):
     ]
     for path in (wheel, sdist):
         print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")
-    print(*objections, sep="\n")
     try:
         objections += use_installed(wheel)
     except StepFailedError as failed:
