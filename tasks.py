@@ -1,5 +1,6 @@
 """What a developer runs: ``python3 tasks.py`` and one of ``demo``, ``test``, ``lint``, ``docs``.
 
+Before a release: ``package [pytest arguments]``, ``matrix [places] [pytest arguments]``.
 Needs nothing but Python; everything else is installed into .venv beside this file.
 """
 
@@ -28,9 +29,11 @@ PACKAGES_OF = {
     "demo": ["-e", "."],
     "development": ["-e", ".", "--group", "test", "--group", "lint"],
     "docs": ["-e", ".", "--group", "docs"],
+    "release": ["-e", ".", "--group", "lint", "--group", "release"],
 }
 
-CONTAINED_IN = {"demo": ("development", "docs")}
+# What else has the packages that are asked for.
+ALSO_HELD_BY = {"demo": {"development", "docs", "release"}}
 
 PACKAGE_OF_PROGRAM = {"Xvfb": "xvfb", "xauth": "xauth"}
 
@@ -61,7 +64,14 @@ PACKAGES_WITHOUT_LIBRARY = ["libgl1-mesa-dri"]
 
 
 def main(arguments):
-    tasks = {"demo": demo, "test": test, "lint": lint, "docs": docs}
+    tasks = {
+        "demo": demo,
+        "test": test,
+        "lint": lint,
+        "docs": docs,
+        "package": package,
+        "matrix": matrix,
+    }
     if not arguments or arguments[0] not in tasks:
         sys.exit(f"usage: python3 tasks.py {{{'|'.join(tasks)}}} [arguments]")
     os.chdir(ROOT)
@@ -95,6 +105,24 @@ def docs(arguments):
     return failed or call(PYTHON, Path("docs", "check_links.py"), pages)
 
 
+def package(arguments):
+    return check_release("release.package.check_package", arguments)
+
+
+def matrix(arguments):
+    return check_release("release.matrix.check_matrix", arguments)
+
+
+def check_release(function, arguments):
+    """Call a function of the folder release, with the Python that has its tools."""
+    install("release")
+    if sys.platform == "linux":
+        install_display_packages()
+    module, _, name = function.rpartition(".")
+    code = f"import sys; from {module} import {name}; sys.exit({name}(sys.argv[1:]))"
+    return call(PYTHON, "-c", code, *arguments)
+
+
 def call(*command):
     sys.stdout.flush()
     return subprocess.call(command)
@@ -104,7 +132,7 @@ def install(packages):
     """Make .venv hold what is asked for; costs nothing if it does already."""
     make_venv()
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + bytes(ROOT)).hexdigest()
-    if any(stamp(name) == wanted for name in {packages, *CONTAINED_IN.get(packages, ())}):
+    if any(stamp(name) == wanted for name in {packages, *ALSO_HELD_BY.get(packages, ())}):
         return
     print(f"Installing into {VENV.name}; the first time this takes minutes.", flush=True)
     stamp_path(packages).unlink(missing_ok=True)

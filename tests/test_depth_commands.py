@@ -78,7 +78,7 @@ def test_distances_are_those_of_the_function(folder, scales, side):
     np.testing.assert_array_equal(values, expected)
     assert np.isinf(values).any() == (side == "far")
     facts = json.loads(result.stdout)
-    finite = expected[np.isfinite(expected)]
+    finite = expected[np.isfinite(expected)].astype(float)
     assert facts["depth_median_m"] == pytest.approx(np.median(finite))
     assert facts["depth_p5_m"] == pytest.approx(np.percentile(finite, 5))
     assert facts["depth_p95_m"] == pytest.approx(np.percentile(finite, 95))

@@ -54,11 +54,11 @@ class BlurOperator:
         first, kernels = _kernels_between(psf, float(blur_map.min()), float(blur_map.max()))
         kernels = _interpolated(kernels)
         side = kernels.shape[1]
-        self.shape = (blur_map.shape[0], blur_map.shape[1])
+        self.shape: tuple[int, int] = (blur_map.shape[0], blur_map.shape[1])
         width = -(-side // taps) * taps
-        self.domain = (self.shape[0] + side - 1, self.shape[1] + width - 1)
+        self.domain: tuple[int, int] = (self.shape[0] + side - 1, self.shape[1] + width - 1)
         reach = side // 2
-        self.inner = tuple(slice(reach, reach + length) for length in self.shape)
+        self.inner: tuple[slice, ...] = tuple(slice(reach, reach + length) for length in self.shape)
         self._channels = channels
         step = np.float32(_KERNEL_STEP / _STEPS_BETWEEN)
         self._kernel = np.rint(blur_map / step - first * _STEPS_BETWEEN).astype(np.int32)

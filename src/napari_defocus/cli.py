@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     from napari_defocus.candidates import BlurCandidates
     from napari_defocus.regions import RegionTable
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     name="napari-defocus",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
