@@ -128,7 +128,7 @@ def watch_memory(pid: int, most: list[int]) -> None:
         except psutil.Error:
             pass
         most[0] = max(most[0], used)
-        time.sleep(0.3)
+        time.sleep(1)  # a look costs as much as 25 ms of a core
 
 
 def found_map(output: Path) -> Path:
