@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from napari_defocus.boundaries import Blocks, interpolate_labels, label_pixels
+from napari_defocus.coarser_grids import STEPS
 from napari_defocus.gabor import window_centers
-from napari_defocus.graphcut import STEPS
 
 
 def blocks_of(shape, stride=4):

@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 
 from napari_defocus import estimate_candidates
 from napari_defocus.boundaries import Blocks
+from napari_defocus.coarser_grids import STEPS
 from napari_defocus.graphcut import (
-    STEPS,
     energy_of,
     expand,
     expand_until_settled,

@@ -24,19 +24,15 @@ from napari_defocus.boundaries import (
     interpolate_labels,
     pixel_weights,
 )
-from napari_defocus.candidates import _pick_maxima
+from napari_defocus.coarser_grids import _RELAXATION, STEPS, _joined_weights, _relaxed
 from napari_defocus.evidence import _limited
 from napari_defocus.gabor import window_centers
 from napari_defocus.graphcut import (
-    _RELAXATION,
-    STEPS,
     Edges,
     _change,
     _flow,
     _fusion_graph,
-    _joined_weights,
     _near,
-    _relaxed,
     energy_of,
     fuse,
     solve_exactly,
@@ -47,6 +43,7 @@ from napari_defocus.likelihood import (
     quasi_log_likelihood,
     refine_maxima,
 )
+from napari_defocus.maxima import _pick_maxima
 from napari_defocus.refinement import _around
 from napari_defocus.refinement import _smoothness_form as _bend_form
 from napari_defocus.restoration import _smoothness_form, _stiffness

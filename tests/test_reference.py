@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from napari_defocus import Disc, simulate_defocus
-from napari_defocus.candidates import local_maxima
 from napari_defocus.gabor import gradients, local_power
 from napari_defocus.image import prepare_image
 from napari_defocus.likelihood import noise_power, profile_log_likelihood, quasi_log_likelihood
+from napari_defocus.maxima import local_maxima
 from napari_defocus.psf import Gaussian
 from napari_defocus.reference import exact_log_likelihood, fixed_point_maxima
 from napari_defocus.spectrum import label_scales, spectrum_table

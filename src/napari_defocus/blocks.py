@@ -37,9 +37,10 @@ from napari_defocus.block_tasks import (
     survey_part,
     windows_of_part,
 )
-from napari_defocus.candidates import CANDIDATES, Search
+from napari_defocus.candidates import Search
 from napari_defocus.image import PreparedImage
 from napari_defocus.lazy_planes import Index, LazyPlanes
+from napari_defocus.maxima import CANDIDATES
 from napari_defocus.noise import ShotNoise
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.parts import Cutting, Part, neighbors

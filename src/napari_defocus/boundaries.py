@@ -22,7 +22,8 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
-from napari_defocus.graphcut import STEPS, Mask, Places, fuse, join_blocks
+from napari_defocus.coarser_grids import STEPS, join_blocks
+from napari_defocus.graphcut import Mask, Places, fuse
 from napari_defocus.progress import Progress, silent
 from napari_defocus.spectrum import LABEL_STEP
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import gaussian_filter
 
+from napari_defocus.analysis_grid import AnalysisGrid
 from napari_defocus.axes import arranged_image
-from napari_defocus.gabor import gradients, local_power, padding, window_centers, within_picture
+from napari_defocus.gabor import gradients, local_power, padding, window_centers
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.lazy_arrays import need_large_extra
-from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood, refine_maxima
+from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood
+from napari_defocus.maxima import CANDIDATES, local_maxima
 from napari_defocus.noise import ShotNoise, mean_shot_noise, noise_variance_of
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily
@@ -34,8 +33,6 @@ from napari_defocus.settings import (
     check_stride,
 )
 from napari_defocus.spectrum import (
-    LABEL_STEP,
-    SpectrumTable,
     check_windows,
     label_scales,
     spectrum_table,
@@ -46,13 +43,8 @@ Float64 = NDArray[np.floating]
 
 Search = Literal["lattice", "fixed-point"]
 
-CANDIDATES = 3
-_WINDOWS_A_BLOCK = 32768
-_LEAST_ROWS = 12
 _LEAST_OPAQUE = 0.05
 _TINY = 1e-12
-_INDISTINCT = 1e-6
-_FLAT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +98,11 @@ class BlurCandidates:
 
     def places_of_window(self) -> NDArray[np.int64]:
         """Return how many places share the window of each: (R, C), above 1 along the border."""
-        return _AnalysisGrid.over(self.image_shape, self.window, self.stride).places()
+        return AnalysisGrid.over(self.image_shape, self.window, self.stride).places()
 
     def displacement(self) -> Float64:
         """Return how far, in px, each window lies from its place: (R, C), not 0 near the border."""
-        grid = _AnalysisGrid.over(self.image_shape, self.window, self.stride)
+        grid = AnalysisGrid.over(self.image_shape, self.window, self.stride)
         pad = (padding(length, self.window) for length in self.image_shape)
         return np.hypot.outer(
             *(
@@ -195,7 +187,7 @@ class BlurCandidates:
         >>> estimate_candidates(picture, stride=1).window_at(60, 0)
         (39.5, -0.5, 80.5, 40.5)
         """
-        grid = _AnalysisGrid.over(self.image_shape, self.window, self.stride)
+        grid = AnalysisGrid.over(self.image_shape, self.window, self.stride)
         edges = []
         for at, centers, window, length in zip(
             self.nearest_window(row, column),
@@ -401,14 +393,14 @@ def candidates_of(
     `search` no maxima are looked for, only the curves: the radii are NaN.
     """
     gradient = gradients(picture.luminance, picture.opaque, window)
-    grid = _AnalysisGrid.over(picture.shape, window, stride)
+    grid = AnalysisGrid.over(picture.shape, window, stride)
     fractions = grid.rows[0] % 1, grid.columns[0] % 1
     table = spectrum_table(psf, window, *fractions, spectra, mixed=mode == "curve")
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = None
     if shot_noise is not None:
         relative = shot_noise.variance_at(picture.luminance) / max(noise_variance, _TINY)
-        noisier = _mean_over_windows(relative, grid, gradient.pad, window)
+        noisier = grid.mean_over_windows(relative, gradient.pad, window)
     scales = label_scales(psf)
     shape = (len(grid.row_of_window), len(grid.column_of_window))
     radii = np.empty((*shape, CANDIDATES), np.float32)
@@ -482,74 +474,13 @@ def _check_settings(
         raise ValueError(f"search is {search!r}; it takes one of {get_args(Search)}")
 
 
-@dataclass(frozen=True)
-class _AnalysisGrid:
-    """The windows that are computed: those that reach over the border are moved inside.
-
-    Attributes
-    ----------
-    rows, columns : (r,) and (c,) float64 ndarray
-        Distinct centres in px of the padded picture.
-    row_of_window, column_of_window : (R,) and (C,) int ndarray
-        Which of them stands for each window of the result.
-    """
-
-    rows: Float64
-    columns: Float64
-    row_of_window: NDArray[np.int64]
-    column_of_window: NDArray[np.int64]
-
-    @classmethod
-    def over(cls, shape: tuple[int, int], window: int, stride: int) -> _AnalysisGrid:
-        axes = []
-        for length in shape:
-            extra = padding(length, window)
-            centers = window_centers(length, stride) + extra
-            inside = within_picture(centers, length + 2 * extra, window)
-            axes.append(np.unique(inside, return_inverse=True))
-        (rows, row_of_window), (columns, column_of_window) = axes
-        return cls(rows, columns, row_of_window, column_of_window)
-
-    def places(self) -> NDArray[np.int64]:
-        """Return how many places of the result share the window of each: (R, C)."""
-        rows, columns = (
-            np.bincount(window)[window] for window in (self.row_of_window, self.column_of_window)
-        )
-        return np.multiply.outer(rows, columns)
-
-    def spread(self, block: slice, values: Float32, result: Float32) -> None:
-        """Write what the windows of a block of rows say, (P, n), to all that they stand for."""
-        first, stop = np.searchsorted(self.row_of_window, (block.start, block.stop))
-        of_rows = values.reshape(-1, len(self.columns), values.shape[1])
-        place = np.ix_(self.row_of_window[first:stop] - block.start, self.column_of_window)
-        result[first:stop] = of_rows[place]
-
-    def blocks(self) -> Iterator[slice]:
-        """Cut the rows into blocks: large enough to share their lines, small enough to report."""
-        height = max(_LEAST_ROWS, _WINDOWS_A_BLOCK // len(self.columns))
-        for start in range(0, len(self.rows), height):
-            yield slice(start, min(start + height, len(self.rows)))
-
-
 def _opaque_share(
-    picture: PreparedImage, grid: _AnalysisGrid, pad: tuple[int, int], window: int
+    picture: PreparedImage, grid: AnalysisGrid, pad: tuple[int, int], window: int
 ) -> Float32 | None:
     """Return the share of each window that is opaque, weighted as power is; None if all is."""
     if picture.opaque is None:
         return None
-    return _mean_over_windows(picture.opaque, grid, pad, window)
-
-
-def _mean_over_windows(
-    values: NDArray[Any], grid: _AnalysisGrid, pad: tuple[int, int], window: int
-) -> Float32:
-    """Return the mean of a quantity over each window, weighted as power is: (r, c)."""
-    mean = gaussian_filter(values.astype(np.float32), window / 4 / np.sqrt(2))
-    place = (
-        np.clip(np.rint(centers - extra).astype(int), 0, length - 1)
-        for centers, extra, length in zip((grid.rows, grid.columns), pad, values.shape, strict=True)
-    )
-    return mean[np.ix_(*place)]
+    return grid.mean_over_windows(picture.opaque, pad, window)
 
 
 def _silence_transparent(
@@ -564,61 +495,3 @@ def _silence_transparent(
     share = np.broadcast_to(opaque[..., None], radii.shape)
     log_likelihoods[present] *= share[present]
     log_likelihoods[~present] = -np.inf
-
-
-def local_maxima(
-    power: Float32,
-    curve: Float32,
-    table: SpectrumTable,
-    scales: Float64,
-    noise_variance: float,
-    dispersion: Float32,
-) -> tuple[Float32, Float32]:
-    """Find the best three local maxima of log p(r) in the continuous domain.
-
-    Parameters
-    ----------
-    power : (P, 2, F) float32 ndarray
-    curve : (P, L) float32 ndarray
-        log p(r) at `scales`.
-    table : SpectrumTable
-    scales : (L,) float64 ndarray
-    noise_variance : float
-    dispersion : (P, 2) float32 ndarray
-
-    Returns
-    -------
-    radii, log_likelihoods : (P, 3) float32 ndarray
-        Best first; NaN and -inf where there are fewer.
-    """
-    blurs = table.at(scales)
-    pointlike = int(np.sum(np.abs(blurs / blurs[0] - 1).max(axis=(1, 2)) < _INDISTINCT)) - 1
-    start = _pick_maxima(curve, scales.astype(np.float32), pointlike)
-    radii, heights = refine_maxima(power, table, start, LABEL_STEP, noise_variance, dispersion)
-    flat = np.ptp(curve, axis=1) < _FLAT
-    radii[flat], heights[flat] = np.nan, -np.inf
-    radii[radii <= scales[pointlike] + _INDISTINCT] = scales[pointlike] / 2
-    order = np.argsort(-heights, axis=1)
-    return np.take_along_axis(radii, order, 1), np.take_along_axis(heights, order, 1)
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _pick_maxima(curve: Float32, scales: Float32, first: int) -> Float32:
-    points, length = curve.shape
-    picked = np.full((points, CANDIDATES), np.nan, np.float32)
-    for point in prange(points):
-        height = np.full(CANDIDATES, -np.inf, np.float32)
-        c = curve[point]
-        for k in range(first, length):
-            rises = k == first or c[k] > c[k - 1]
-            falls = k == length - 1 or c[k] >= c[k + 1]
-            if not (rises and falls and c[k] > height[CANDIDATES - 1]):
-                continue
-            place = CANDIDATES - 1
-            while place > 0 and c[k] > height[place - 1]:
-                height[place] = height[place - 1]
-                picked[point, place] = picked[point, place - 1]
-                place -= 1
-            height[place] = c[k]
-            picked[point, place] = scales[k]
-    return picked

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.axes import arranged_image
 from napari_defocus.boundaries import energy_of_pixels, interpolate_labels, label_pixels
 from napari_defocus.candidates import BlurCandidates, as_lazy, check_not_lazy, estimate_candidates
+from napari_defocus.coarser_grids import coarser
 from napari_defocus.confidence import checked_map, confidence_and_caution, confidence_map
 from napari_defocus.evidence import CARRIED_IN, evidence_share
 from napari_defocus.graphcut import (
-    coarser,
     expand_until_settled,
     minimize_energy,
     minimize_energy_from,

@@ -24,7 +24,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from napari_defocus.candidates import BlurCandidates
-from napari_defocus.graphcut import STEPS, Float32, Labels
+from napari_defocus.coarser_grids import STEPS, Float32, Labels
 from napari_defocus.progress import Progress, silent
 from napari_defocus.settings import MapSettings
 from napari_defocus.spectrum import LABEL_STEP

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.boundaries import Blocks, label_pixels
 from napari_defocus.candidates import BlurCandidates, as_lazy
-from napari_defocus.graphcut import coarser, solve_exactly
+from napari_defocus.coarser_grids import coarser
+from napari_defocus.graphcut import solve_exactly
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.scene import CoarseLabels, Scene
 from napari_defocus.seeds import checked_seeds
