@@ -4,6 +4,7 @@ import io
 from collections.abc import Iterable
 
 import numpy as np
+import PIL.Image
 from ablation import DEFAULT, STEPS
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -39,7 +40,9 @@ def drawn(record: Record) -> dict[str, bytes]:
 def as_png(figure: Figure) -> bytes:
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=100)
-    return file.getvalue()
+    small = io.BytesIO()
+    PIL.Image.open(file).convert("RGB").quantize(64).save(small, format="png", optimize=True)
+    return small.getvalue()
 
 
 def accuracy_figure(record: Record) -> Figure | None:
