@@ -53,7 +53,7 @@ def main() -> None:
         "seed": arguments.seed,
         "pictures": list(sources),
         "photographs": list(photos),
-        "pictures from": "--data" if arguments.data else "scikit-image",
+        "pictures from": "`--data`" if arguments.data else "scikit-image",
     }
     record, failed = Record({}), []
     for part, measure in measurements(sources, photos, record, arguments).items():
