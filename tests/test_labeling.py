@@ -353,3 +353,9 @@ def test_energy_of_what_holds_no_real_numbers_is_a_type_error(small, dtype):
 def test_energy_of_another_picture_is_a_value_error(small):
     with pytest.raises(ValueError, match="these candidates are of a picture of 45 x 62 px"):
         labeling_energy(np.zeros((45, 62)), small[1], np.zeros((50, 62)))
+
+
+def test_all_smoothness_leaves_one_radius():
+    picture = np.random.default_rng(0).integers(0, 2**32, (3, 16, 3)).astype(">u4")
+    blur_map = estimate_blur_map(picture, smoothness=1e6)
+    assert np.ptp(blur_map) < 0.1
