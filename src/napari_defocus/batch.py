@@ -14,8 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-import numpy as np
-
 import napari_defocus
 from napari_defocus.batch_files import BatchFolder
 from napari_defocus.batch_parts import PartNote, PlaneInParts
@@ -45,7 +43,13 @@ from napari_defocus.cluster import Job, in_this_process, outcomes
 from napari_defocus.files import UnwritableResult, write_results
 from napari_defocus.lazy_arrays import need_large_extra
 from napari_defocus.progress import Cancelled, Progress, duration, silent
-from napari_defocus.settings import BLOCK_SIZE, check_block_size, check_confidence, check_threshold
+from napari_defocus.settings import (
+    BLOCK_SIZE,
+    check_block_size,
+    check_confidence,
+    check_flag,
+    check_threshold,
+)
 from napari_defocus.settings_file import Settings
 from napari_defocus.sources import Source, find_sources
 
@@ -162,8 +166,7 @@ def measure_batch(
     """
     need_large_extra()
     for name, value in {"confidence": confidence, "mask": mask, "restore": restore}.items():
-        if not isinstance(value, bool | np.bool_):
-            raise TypeError(f"{name} is {value!r}; it takes True or False")
+        check_flag(name, value)
     asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
     plan = _checked(
         BatchPlan(

@@ -119,6 +119,8 @@ def calibrate_psf(
         _luminance(picture, f"pictures[{i}]", intensity_range) for i, picture in enumerate(given)
     ]
     _check_count("scales", scales, len(blurred))
+    if isinstance(scales, str):
+        raise TypeError(f"scales is {scales!r}; it takes a number of px for each picture")
     _check_count("names", names, len(blurred))
     references = _references(sharp, blurred, intensity_range)
     kernels = []

@@ -83,6 +83,7 @@ class MapSettings:
         check_weights(self.smoothness, self.color_sigma)
         check_mode(self.mode)
         check_linearize(self.linearize)
+        check_flag("shot_noise", self.shot_noise)
         if self.shot_noise and self.noise_variance is not None:
             raise ValueError(
                 f"noise_variance is {self.noise_variance} and shot_noise is set; "
@@ -232,6 +233,12 @@ def check_real(name: str, value: Any, takes: str) -> None:
     fraction = isinstance(value, Rational) and not isinstance(value, Integral)
     if not isinstance(value, Real) or fraction:
         raise TypeError(f"{name} is {value!r}; it takes {takes}")
+
+
+def check_flag(name: str, value: Any) -> None:
+    """Refuse, naming it, what is neither True nor False, NumPy's or Python's."""
+    if value is not True and value is not False and type(value).__name__ != "bool":
+        raise TypeError(f"{name} is {value!r}; it takes True or False")
 
 
 def check_focus(focus: Any) -> None:
