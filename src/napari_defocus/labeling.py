@@ -29,7 +29,14 @@ from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
 from napari_defocus.refinement import refine_labels
 from napari_defocus.scene import CoarseLabels, Scene
-from napari_defocus.settings import BLOCK_SIZE, Linearize, MapSettings, Mode, check_weights
+from napari_defocus.settings import (
+    BLOCK_SIZE,
+    Linearize,
+    MapSettings,
+    Mode,
+    check_flag,
+    check_weights,
+)
 from napari_defocus.spectrum import LABEL_STEP
 
 Float32 = NDArray[np.float32]
@@ -371,6 +378,7 @@ def estimate_blur_map(
     (100, 100)
     """
     check_weights(smoothness, color_sigma)
+    check_flag("return_confidence", return_confidence)
     candidates = estimate_candidates(
         image,
         psf=psf,
