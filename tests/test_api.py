@@ -6,9 +6,18 @@ import subprocess
 import sys
 from importlib import import_module
 
+import numpy as np
 import pytest
 
 import napari_defocus
+from napari_defocus import (
+    Settings,
+    estimate_blur_map,
+    estimate_candidates,
+    focus_curve,
+    label_blur_map,
+    measure_batch,
+)
 
 PUBLIC = {
     "Annulus",
@@ -83,6 +92,32 @@ def test_public_names_are_there_and_listed():
 def test_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="has no attribute 'sharpen'"):
         _ = napari_defocus.sharpen
+
+
+PICTURE = np.random.default_rng(0).random((48, 48))
+
+
+@pytest.mark.parametrize(
+    ("flag", "call"),
+    [
+        ("return_confidence", lambda given: estimate_blur_map(PICTURE, return_confidence=given)),
+        (
+            "return_carried_in",
+            lambda given: label_blur_map(
+                estimate_candidates(PICTURE), PICTURE, return_carried_in=given
+            ),
+        ),
+        ("force", lambda given: Settings().save("never.json", force=given)),
+        ("force", lambda given: focus_curve(PICTURE[None]).save("never.csv", force=given)),
+        ("force", lambda given: measure_batch("nowhere", "never", force=given)),
+    ],
+)
+@pytest.mark.parametrize("given", ["no", 1, None, np.ones(2, bool)], ids=repr)
+def test_flag_that_is_neither_true_nor_false_is_named(flag, call, given, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TypeError, match=f"{flag} is .*; it takes True or False"):
+        call(given)
+    assert not list(tmp_path.iterdir())
 
 
 def test_importing_the_package_imports_nothing_heavy():

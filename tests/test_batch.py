@@ -50,7 +50,9 @@ def stack(tmp_path, grass):
 
 
 def rows_of(report):
-    return [json.loads(line) for line in report.table.with_suffix(".jsonl").open()]
+    return [
+        json.loads(line) for line in report.table.with_suffix(".jsonl").read_text().splitlines()
+    ]
 
 
 def contents(folder):
@@ -88,7 +90,8 @@ def test_maps_are_those_of_the_functions_and_rows_tell_of_them(photographs, tmp_
     np.testing.assert_array_equal(values_in_tiff(tmp_path / "out" / row["confidence"]), sure)
     mask = np.asarray(PIL.Image.open(tmp_path / "out" / row["mask"])) > 0
     np.testing.assert_array_equal(mask, napari_defocus.segment_in_focus(candidates, picture))
-    assert PIL.Image.open(tmp_path / "out" / row["in_focus"]).size == (96, 100)
+    with PIL.Image.open(tmp_path / "out" / row["in_focus"]) as restored:
+        assert restored.size == (96, 100)
     assert settings_in_tiff(tmp_path / "out" / row["map"])["stride"] == 8
     for percent, name in ((5, "p5"), (50, "median"), (95, "p95")):
         assert row[f"{name}_radius_px"] == pytest.approx(np.percentile(blur_map, percent), abs=0.01)

@@ -105,7 +105,7 @@ def test_table_has_a_row_a_plane_and_leaves_out_what_is_not_known(tmp_path):
     maps[1] = np.nan
     file = tmp_path / "curve.csv"
     focus_curve(maps).save(file)
-    rows = list(csv.DictReader(file.open()))
+    rows = list(csv.DictReader(file.read_text().splitlines()))
     assert [row["plane"] for row in rows] == ["0", "1", "2", "3", "4"]
     assert [row["median_radius_px"] for row in rows] == ["6", "", "1", "2", "5"]
     assert [row["share_in_focus"] for row in rows] == ["0", "", "1", "1", "0"]
@@ -115,7 +115,7 @@ def test_table_has_a_row_a_plane_and_leaves_out_what_is_not_known(tmp_path):
 def test_table_of_two_axes_says_where_along_both(tmp_path):
     file = tmp_path / "curve.csv"
     focus_curve(np.stack([SWEEP, SWEEP]), confidence=np.full((2, *SWEEP.shape), 0.25)).save(file)
-    rows = list(csv.DictReader(file.open()))
+    rows = list(csv.DictReader(file.read_text().splitlines()))
     assert [(row["plane_0"], row["plane_1"]) for row in rows[4:6]] == [("0", "4"), ("1", "0")]
     assert {row["median_confidence"] for row in rows} == {"0.25"}
 

@@ -41,9 +41,8 @@ from napari_defocus.likelihood import (
     noise_power,
     profile_log_likelihood,
     quasi_log_likelihood,
-    refine_maxima,
 )
-from napari_defocus.maxima import _pick_maxima
+from napari_defocus.maxima import _pick_maxima, refine_maxima
 from napari_defocus.refinement import _around
 from napari_defocus.refinement import _smoothness_form as _bend_form
 from napari_defocus.restoration import _smoothness_form, _stiffness

@@ -9,9 +9,8 @@ from napari_defocus.likelihood import (
     noise_power,
     profile_log_likelihood,
     quasi_log_likelihood,
-    refine_maxima,
 )
-from napari_defocus.maxima import local_maxima
+from napari_defocus.maxima import local_maxima, refine_maxima
 from napari_defocus.spectrum import SpectrumTable, label_scales, spectrum_table
 
 NOISE_VARIANCE = 1e-5

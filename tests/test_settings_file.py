@@ -93,7 +93,7 @@ def test_file_that_exists_is_overwritten_only_if_asked(file):
     with pytest.raises(OSError, match="exists already"):
         UNUSUAL.save(file)
     assert file.read_bytes() == before
-    UNUSUAL.save(file, overwrite=True)
+    UNUSUAL.save(file, force=True)
     assert Settings.load(file) == UNUSUAL
     assert [path.name for path in file.parent.iterdir()] == ["settings.json"]
 

@@ -165,7 +165,8 @@ def measure_batch(
     (2, 0, ['status', 'done', 'done'])
     """
     need_large_extra()
-    for name, value in {"confidence": confidence, "mask": mask, "restore": restore}.items():
+    flags = {"confidence": confidence, "mask": mask, "restore": restore, "force": force}
+    for name, value in flags.items():
         check_flag(name, value)
     asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
     plan = _checked(

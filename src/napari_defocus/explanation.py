@@ -14,7 +14,7 @@ from napari_defocus.candidates import BlurCandidates, check_not_lazy, check_plac
 from napari_defocus.confidence import TOLERANCE
 from napari_defocus.evidence import CARRIED_IN, asked_windows, evidence_share
 from napari_defocus.image import PreparedImage, given_array, prepare_image
-from napari_defocus.settings import check_real
+from napari_defocus.settings import check_flag, check_real
 from napari_defocus.spectrum import LABEL_STEP
 
 if TYPE_CHECKING:
@@ -259,6 +259,7 @@ def draw_explanation(
     >>> axes.get_xlabel()
     'radius (px)'
     """
+    check_flag("legend", legend)
     if not isinstance(explanation, PixelExplanation):
         raise TypeError(f"explanation is {explanation!r}; it takes what explain_pixel returns")
     check_real("floor", floor, "a finite number below 0")

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
+from napari_defocus.settings import check_flag
+
 PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
 """What Pillow may decode; some of its other formats start programs (EPS) or have no pixels."""
 
@@ -296,10 +298,13 @@ def check_results(
 
     Raises
     ------
+    TypeError
+        If `force` is neither True nor False.
     UnwritableResult
         If the folder of a result is missing or takes no new file, a result exists and `force`
         is not set, it is a folder, a device or `source`, or two results are one file.
     """
+    check_flag("force", force)
     seen: set[Path] = set()
     for path in paths:
         target = path.resolve()

@@ -71,6 +71,8 @@ class FocusCurve:
 
         Raises
         ------
+        TypeError
+            If `force` is neither True nor False.
         OSError
             If the file cannot be written or exists already; the message has the path and the
             reason.

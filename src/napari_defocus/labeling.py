@@ -151,6 +151,7 @@ def label_blur_map(
     3.0
     """
     check_weights(smoothness, color_sigma)
+    check_flag("return_carried_in", return_carried_in)
     lazy = as_lazy(candidates)
     if lazy is not None:
         weights = smoothness, color_sigma

@@ -189,21 +189,34 @@ def _check_arrays(arrays: list[Any], letters: str) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Stored:
-    """An array of a store whose damaged chunks are errors that name the store."""
+class StoredArray:
+    """An array of a store whose damaged chunks are errors that name the store.
+
+    Attributes
+    ----------
+    array : zarr.Array
+    path : Path
+        Of the store.
+    owner : object
+        Kept while anything may be read from the array.
+    """
 
     array: Any
     path: Path
+    owner: Any = None
 
     @property
     def shape(self) -> tuple[int, ...]:
+        """Of the whole."""
         return tuple(self.array.shape)
 
     @property
     def dtype(self) -> np.dtype[Any]:
+        """Of what is read."""
         return np.dtype(self.array.dtype)
 
     def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
+        """Read a region; UnreadablePicture if a chunk of it is damaged."""
         # Codecs raise anything.
         try:
             return np.asarray(self.array[region])
@@ -218,7 +231,7 @@ def _lazy(array: Any, letters: str, path: Path) -> da.Array:
         block_side(chunk, size) if letter in "yx" else chunk
         for chunk, size, letter in zip(stored, array.shape, letters, strict=True)
     )
-    data = lazy_array(_Stored(array, path), blocks)
+    data = lazy_array(StoredArray(array, path), blocks)
     return data.astype(data.dtype.newbyteorder("="))
 
 

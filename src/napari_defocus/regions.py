@@ -70,6 +70,8 @@ class RegionTable:
 
         Raises
         ------
+        TypeError
+            If `force` is neither True nor False.
         OSError
             If it cannot be written, or exists and `force` is not set.
         """

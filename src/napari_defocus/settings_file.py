@@ -68,24 +68,24 @@ class Settings:
     restoration: RestorationSettings = field(default_factory=RestorationSettings)
     refocus: RefocusSettings = field(default_factory=RefocusSettings)
 
-    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
         """Write the settings into a JSON file, whole or not at all.
 
         Parameters
         ----------
         path : path-like
-        overwrite : bool
-            Whether a file that exists is replaced.
+        force : bool, optional
+            Whether a file that exists is overwritten.
 
         Raises
         ------
         TypeError
-            If a setting is what no file can hold.
+            If a setting is what no file can hold, or `force` is neither True nor False.
         OSError
-            If the file exists and `overwrite` is not set, or cannot be written; the message
+            If the file exists and `force` is not set, or cannot be written; the message
             has the path and the reason.
         """
-        write_results({Path(path): encoded_settings(asdict(self))}, force=overwrite)
+        write_results({Path(path): encoded_settings(asdict(self))}, force=force)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:

@@ -18,12 +18,11 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from napari.types import LayerDataTuple
-from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.lazy_arrays import lazy_array, need_large_extra
+from napari_defocus.ome_zarr import StoredArray
 from napari_defocus.ome_zarr_writer import OmeZarrWriter, new_ome_zarr
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.layers import NotAnalysableError, Plane
@@ -170,7 +169,8 @@ class Place:
         names = list(group["0"].metadata.dimension_names)
         order = [names.index(letter) for letter in axes]
         numbers = sorted(int(name) for name in group.array_keys())
-        return [_lazy(_Level(group[str(n)], owner)).transpose(order) for n in numbers]
+        levels = [StoredArray(group[str(n)], path, owner) for n in numbers]
+        return [lazy_array(level, level.array.chunks).transpose(order) for level in levels]
 
 
 UNTIL_CLOSED = Place()
@@ -182,31 +182,6 @@ class _Store:
     """A store that somebody may still read: its file goes, if it is ours, when this does."""
 
     path: Path
-
-
-@dataclass(frozen=True, eq=False)
-class _Level:
-    """A level of a store, which keeps the store while anything is read from it."""
-
-    array: Any
-    store: _Store
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Of the level."""
-        return tuple(self.array.shape)
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Of the level."""
-        return np.dtype(self.array.dtype)
-
-    def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
-        return np.asarray(self.array[region])
-
-
-def _lazy(level: _Level) -> Any:
-    return lazy_array(level, level.array.chunks)
 
 
 @cache

@@ -246,9 +246,7 @@ class Tools:
         if path is None:
             path, overwrite = self._asked_to_save("defocus.json", "Settings (*.json)"), True
         if path is not None:
-            self._try(
-                lambda: settings.save(path, overwrite=overwrite), lambda _: f"Saved {path.name}"
-            )
+            self._try(lambda: settings.save(path, force=overwrite), lambda _: f"Saved {path.name}")
 
     def _settings(self) -> Settings:
         form = self._panel.settings
