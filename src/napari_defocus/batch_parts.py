@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ from napari_defocus.batch_files import read_note, write_note
 from napari_defocus.batch_planes import BatchPlan, PlaneTask, Target, failed
 from napari_defocus.batch_table import DONE, PixelCounts, Row, count_pixels
 from napari_defocus.ome_zarr_writer import TILE
-
-if TYPE_CHECKING:
-    pass
 
 Region = tuple[slice, slice]
 
@@ -114,7 +111,6 @@ class PlaneInParts:
     def _measured(self) -> tuple[dict[str, Any], Any]:
         """Return dask arrays of all that is wanted, and the noise, delayed."""
         from napari_defocus.block_tasks import Wanted
-        from napari_defocus.blocks import noise_of_plane
 
         plan, plane = self.task.plan, self._plane
         settings = plan.settings.map
@@ -151,7 +147,7 @@ class PlaneInParts:
                 tv_weight=restoration.tv_weight,
                 **given,
             )
-        return found, noise_of_plane(plane, settings.noise_variance, lazy.estimation.prepared)
+        return found, lazy.noise(())
 
 
 def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:

@@ -15,8 +15,8 @@ from typing import Any
 import dask
 import dask.array as da
 import numpy as np
+from dask.core import flatten
 from dask.delayed import Delayed, delayed
-from dask.graph_manipulation import bind
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import DTypeLike, NDArray
 
@@ -143,9 +143,38 @@ class PartGraph:
 def after(plane: Any, value: Delayed) -> Any:
     """Return a dask array whose blocks are read, once more, when a value is there.
 
-    Else those that are read for what comes before it would be kept for what comes after.
+    Else those that are read for what comes before it would be kept for what comes after. (The
+    `bind` of dask leaves the tasks of rechunked and indexed arrays as they are.)
     """
-    return bind(plane, value, seed=f"{plane.name} after {value.key}")
+    (plane,) = dask.optimize(plane)
+    nodes = dict(plane.__dask_graph__())
+    # Values that are in the graph itself need no second reading.
+    values = {key for key, node in nodes.items() if type(node).__name__ == "DataNode"}
+    held = values - set(flatten(plane.__dask_keys__()))
+    later = {key: _later(key, value.key) for key in nodes.keys() - held}
+    tasks = {
+        later[key]: nodes[key].substitute(later, key=later[key])
+        if nodes[key].dependencies - held
+        else (when_there, nodes[key].substitute({}, key=f"{later[key]} itself"), value.key)
+        for key in later
+    }
+    name = _later(plane.name, value.key)
+    literals = f"{name}, held"
+    layers = value.dask.layers | {literals: {key: nodes[key] for key in held}, name: tasks}
+    needed = {literals: set(), name: {literals, *value.__dask_layers__()}}
+    graph = HighLevelGraph(layers, value.dask.dependencies | needed)
+    return da.Array(graph, name, plane.chunks, meta=plane._meta)
+
+
+def _later(key: Any, value_key: Any) -> Any:
+    if isinstance(key, tuple):
+        return (_later(key[0], value_key), *key[1:])
+    return f"{key} after {value_key}"
+
+
+def when_there(result: Any, _: Any) -> Any:
+    """Return the first: a task that waits for the second, too."""
+    return result
 
 
 def placed(parts: Parts) -> Iterator[tuple[Part, tuple[int, int]]]:

@@ -247,20 +247,24 @@ def survey_part(
     }
 
 
+def join_cells(surveys: list[dict[str, Problem]], axis: int) -> dict[str, Problem]:
+    """Put what cells beside each other cost together, along rows, 0, or columns, 1."""
+    return {
+        name: (
+            np.concatenate([one[name][0] for one in surveys], axis=axis),
+            np.concatenate([one[name][1] for one in surveys], axis=axis + 1),
+        )
+        for name in surveys[0]
+    }
+
+
 @task
-def label_cells(surveys: list[list[dict[str, Problem]]]) -> dict[str, NDArray[np.int32]]:
+def label_cells(rows: list[dict[str, Problem]]) -> dict[str, NDArray[np.int32]]:
     """Label the cells of a whole plane, for the map and for the mask."""
-    labels = {}
-    for name in surveys[0][0]:
-        data = np.concatenate(
-            [np.concatenate([one[name][0] for one in row], axis=1) for row in surveys], axis=0
-        )
-        weights = np.concatenate(
-            [np.concatenate([one[name][1] for one in row], axis=2) for row in surveys], axis=1
-        )
-        solved = solve_exactly if name == "mask" else _minimized
-        labels[name] = solved(data, weights)
-    return labels
+    return {
+        name: (solve_exactly if name == "mask" else _minimized)(data, weights)
+        for name, (data, weights) in join_cells(rows, 0).items()
+    }
 
 
 def _minimized(data: Float32, weights: Float32) -> NDArray[np.int32]:

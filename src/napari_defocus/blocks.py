@@ -23,12 +23,21 @@ from dask.callbacks import Callback
 from dask.delayed import Delayed
 from numpy.typing import DTypeLike, NDArray
 
-from napari_defocus.block_graph import PartGraph, Parts, after, cut_together, pixels, placed
+from napari_defocus.block_graph import (
+    PartGraph,
+    Parts,
+    after,
+    cut_together,
+    pixels,
+    placed,
+    when_there,
+)
 from napari_defocus.block_tasks import (
     Estimation,
     Noise,
     Wanted,
     blend_named,
+    join_cells,
     judge_part,
     label_cells,
     look_at_noise,
@@ -145,7 +154,7 @@ class LazyCandidates:
 
     def _asked_noise(self, index: Index) -> Any:
         """Return the noise of a plane with its variance, which a small plane finds by itself."""
-        noise = self._noise(index)
+        noise = self.noise(index)
         if isinstance(noise, Noise) and isinstance(noise.given, float | int):
             return Noise(noise.given, float(noise.given))
         if not self._cutting.alone:
@@ -175,7 +184,7 @@ class LazyCandidates:
         parts = self._cutting.parts()
 
         def of_plane(index: Index) -> dict[str, Any]:
-            plane, radius, noise = self.planes.plane(index), radii[index], self._noise(index)
+            plane, radius, noise = self.planes.plane(index), radii[index], self.noise(index)
             graph = PartGraph.of("judged", [plane, radius, noise], self._made_with, risk)
             for part, place in placed(parts):
                 seen = pixels(plane, part.pixels), pixels(radius, part.pixels), part
@@ -200,7 +209,7 @@ class LazyCandidates:
     def _made_with(self) -> tuple[Any, ...]:
         return self.estimation, self.noise_variance, self.block_size
 
-    def _noise(self, index: Index) -> Any:
+    def noise(self, index: Index) -> Any:
         """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
         if index in self.found_noise:
             return self.found_noise[index]
@@ -210,11 +219,11 @@ class LazyCandidates:
         return noise_of_plane(plane, self.noise_variance, self.estimation.prepared)
 
     def _measured(self, index: Index, wanted: Wanted, seeds: Any) -> dict[str, Any]:
-        plane, noise = self.planes.plane(index), self._noise(index)
+        plane, noise = self.planes.plane(index), self.noise(index)
         cells = None
         if not self._cutting.alone:
-            plane = after(plane, noise) if isinstance(noise, Delayed) else plane
-            cells = self._labels_of_cells(plane, noise, wanted, seeds)
+            read = after(plane, noise) if isinstance(noise, Delayed) else plane
+            cells = self._labels_of_cells(read, noise, wanted, seeds)
             plane = after(plane, cells)
         parts = self._cutting.parts()
         sources = [plane, noise, seeds, cells]
@@ -235,18 +244,25 @@ class LazyCandidates:
         """Return the labels of the whole plane's cells, delayed."""
         graph = PartGraph.of("surveyed", [plane, noise, seeds], self._made_with, wanted)
         parts, levels = self._cutting.parts(survey=True), self._cutting.levels
-        surveys: list[list[Any]] = [[] for _ in parts]
-        for part, place in placed(parts):
-            seen = pixels(plane, part.pixels), _seeds_of(seeds, part), part, levels
-            how = graph.key_of(noise), self._frugal, wanted
-            surveys[place[0]].append(graph.add(place, survey_part, *seen, *how))
-        return graph.value(graph.add("cells", label_cells, surveys))
+        how = graph.key_of(noise), self._frugal, wanted
+        rows: list[Any] = []
+        for number, line in enumerate(parts):
+            # Row after row: all at once, dask would read the whole plane before it surveys much.
+            before = rows[-2] if number > 1 else None
+            surveys = []
+            for column, part in enumerate(line):
+                seen = pixels(plane, part.pixels), _seeds_of(seeds, part), part, levels
+                task = survey_part, *seen, *how
+                surveys.append(graph.add((number, column), when_there, task, before))
+            last = rows[-1] if rows else None
+            rows.append(graph.add(("row", number), when_there, (join_cells, surveys, 1), last))
+        return graph.value(graph.add("cells", label_cells, rows))
 
     def _of_windows(self, name: str, length: int, *, search: Search | None) -> Any:
         parts, how = self._cutting.parts(survey=True), replace(self.estimation, search=search)
 
         def of_plane(index: Index) -> dict[str, Any]:
-            plane, noise = self.planes.plane(index), self._noise(index)
+            plane, noise = self.planes.plane(index), self.noise(index)
             graph = PartGraph.of(f"{name}-of", [plane, noise], self._made_with, search)
 
             def task_of(row: int, column: int) -> Any:
@@ -424,5 +440,7 @@ class _Reports(Callback):
 
 def _time_of(key: Any) -> float:
     """Return about how long a task takes, in parts of what measuring a part takes."""
-    name = key[0] if isinstance(key, tuple) else key
+    name, *place = key if isinstance(key, tuple) else (key,)
+    if place[:1] == ["row"]:
+        return _SHORT
     return next((time for begin, time in _TIMES.items() if str(name).startswith(begin)), _SHORT)
