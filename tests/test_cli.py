@@ -5,17 +5,20 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import fields
 from importlib.resources import files
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import tifffile
+import typer
 from command_line import assert_fails_in_one_line, full_disk, names_in, run
 from PIL import Image
 
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
+from napari_defocus.cli import app
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 
 SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
@@ -581,7 +584,7 @@ def test_saved_settings_say_nothing_of_what_was_not_used(picture, instant):
         ('{"map": {"max_radius": "3"}}', '"max_radius" of "map" is "3"; it takes a number'),
     ],
 )
-@pytest.mark.parametrize("command", ["map", "segment", "restore", "refocus"])
+@pytest.mark.parametrize("command", ["map", "segment", "restore", "refocus", "depth"])
 def test_settings_file_that_cannot_be_used_is_refused(picture, instant, command, content, saying):
     path = picture.with_name("settings.json")
     if content is not None:
@@ -591,6 +594,18 @@ def test_settings_file_that_cannot_be_used_is_refused(picture, instant, command,
     assert_fails_in_one_line(result, saying=saying)
     assert not instant, "nothing was computed"
     assert names_in(picture.parent) == before
+
+
+@pytest.mark.parametrize("command", ["map", "segment", "restore", "refocus", "depth", "explain"])
+def test_every_setting_of_a_map_is_an_option_with_its_default(command):
+    options = {each.name: each for each in typer.main.get_command(app).commands[command].params}
+    for setting in fields(MapSettings):
+        usual = setting.default
+        if command == "segment":
+            usual = getattr(MaskSettings, setting.name, usual)
+        if command in {"restore", "refocus", "depth"} and setting.name == "psf":
+            usual = None  # left to the map, if one is given
+        assert options[setting.name].default == usual
 
 
 def test_settings_that_exist_are_kept_unless_forced(picture, instant):

@@ -11,7 +11,8 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 import napari_defocus
-from napari_defocus import Disc, ThinLens, depth_from_blur
+from napari_defocus import Disc, Settings, ThinLens, depth_from_blur
+from napari_defocus.settings import MapSettings
 
 HEIGHT, WIDTH = 48, 60
 NOTED = {
@@ -85,6 +86,16 @@ def test_distances_are_those_of_the_function(folder, scales, side):
     assert facts["infinite_percent"] == pytest.approx(100 * np.isinf(expected).mean())
     assert facts["side"] == side
     assert facts["files"] == [str(folder / "p-depth.tif"), str(folder / "p-depth.png")]
+
+
+def test_settings_are_read_from_a_file_and_saved(folder, instant):
+    said, saved = folder / "said.json", folder / "saved.json"
+    said.write_text('{"map": {"window": 61, "stride": 6}}')
+    given = [*GIVEN, "--settings", said, "--stride", 5, "--save-settings", saved]
+    result = run("depth", folder / "p.png", *given)
+    assert result.exit_code == 0, result.output
+    assert (instant["candidates"]["window"], instant["candidates"]["stride"]) == (61, 5)
+    assert Settings.load(saved).map == MapSettings(window=61, stride=5)
 
 
 def test_file_says_what_made_it(folder, scales):

@@ -41,6 +41,14 @@ def test_plain_lines_tell_the_value_the_candidates_and_the_window(picture):
     assert names_in(picture.parent) == ["p.png"], "nothing is written unasked"
 
 
+def test_settings_file_says_what_options_do_not(picture):
+    said = picture.with_name("said.json")
+    said.write_text('{"map": {"window": 31}}')
+    result = run("explain", picture, 40, 44, "--settings", said, "--stride", 5, "--json")
+    top, left, bottom, right = json.loads(result.stdout)["window"]
+    assert (bottom - top, right - left) == (31, 31)
+
+
 def test_json_has_what_the_function_returns_and_the_drawing_is_a_picture(picture, pixels):
     drawing = picture.with_name("curve.png")
     result = run("explain", picture, 40, 44, "-o", drawing, "--json")

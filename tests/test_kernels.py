@@ -25,6 +25,7 @@ from napari_defocus.boundaries import (
     pixel_weights,
 )
 from napari_defocus.coarser_grids import _RELAXATION, STEPS, _joined_weights, _relaxed
+from napari_defocus.deconvolution import _smoothness_form, _stiffness
 from napari_defocus.evidence import _limited
 from napari_defocus.gabor import window_centers
 from napari_defocus.graphcut import (
@@ -45,7 +46,6 @@ from napari_defocus.likelihood import (
 from napari_defocus.maxima import _pick_maxima, refine_maxima
 from napari_defocus.refinement import _around
 from napari_defocus.refinement import _smoothness_form as _bend_form
-from napari_defocus.restoration import _smoothness_form, _stiffness
 from napari_defocus.spectrum import SpectrumTable
 
 pytestmark = pytest.mark.kernel

@@ -10,25 +10,9 @@ from typing import Annotated, Any, Literal
 import typer
 
 import napari_defocus
-from napari_defocus.commands import (
-    AsJson,
-    ColorSigma,
-    IntensityRange,
-    LinearizeOption,
-    MapSmoothness,
-    MaxRadius,
-    MinConfidence,
-    ModeOption,
-    NoiseVariance,
-    PSFText,
-    Quiet,
-    SettingsFile,
-    ShotNoiseOption,
-    Stride,
-    Threshold,
-    Window,
-    run,
-)
+from napari_defocus.commands import run
+from napari_defocus.option_groups import MapOptions, Reporting
+from napari_defocus.options import MinConfidence, SettingsFile, Threshold
 from napari_defocus.progress import Progress
 from napari_defocus.settings import (
     BLOCK_SIZE,
@@ -131,6 +115,7 @@ Again = Annotated[
 
 def batch(
     inputs: Inputs,
+    *,
     output: Output,
     confidence: WithConfidence = False,
     mask: WithMask = False,
@@ -139,25 +124,14 @@ def batch(
     block_size: BlockSize = BLOCK_SIZE,
     scheduler: Scheduler = None,
     workers: Workers = None,
-    psf: PSFText = MapSettings.psf,
-    noise_variance: NoiseVariance = MapSettings.noise_variance,
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
-    max_radius: MaxRadius = MapSettings.max_radius,
-    window: Window = MapSettings.window,
-    stride: Stride = MapSettings.stride,
-    smoothness: MapSmoothness = MapSettings.smoothness,
-    color_sigma: ColorSigma = MapSettings.color_sigma,
-    mode: ModeOption = MapSettings.mode,
-    linearize: LinearizeOption = MapSettings.linearize,
-    intensity_range: IntensityRange = None,
+    measuring: MapOptions,
     min_confidence: MinConfidence = 0.0,
     threshold: Threshold = None,
     tv_weight: TVWeight = RestorationSettings.tv_weight,
     risk: Risk = RestorationSettings.risk,
     settings_file: SettingsFile = None,
     force: Again = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Measure many pictures and stacks: a map of each plane, and a table with a row a plane.
 
@@ -173,18 +147,7 @@ def batch(
         find_sources(inputs)  # what is not there is told before workers start
         check_tv_weight(tv_weight)
         check_risk(risk)
-        map_settings = MapSettings(
-            psf=psf,
-            noise_variance=noise_variance,
-            shot_noise=shot_noise,
-            max_radius=max_radius,
-            window=window,
-            stride=stride,
-            smoothness=smoothness,
-            color_sigma=color_sigma,
-            mode=mode,
-            linearize=linearize,
-        )
+        map_settings = measuring.settings()
         settings = napari_defocus.Settings(
             map=map_settings,
             mask=_mask_settings(settings_file, threshold, map_settings),
@@ -199,7 +162,7 @@ def batch(
                 mask=mask,
                 restore=restore,
                 min_confidence=min_confidence,
-                intensity_range=intensity_range,
+                intensity_range=measuring.intensity_range,
                 file_format=file_format,
                 block_size=block_size,
                 force=force,
@@ -210,7 +173,7 @@ def batch(
         return {"table": str(report.table), "planes": report.planes, "failed": report.failed}
 
     try:
-        run(work, _lines, as_json, quiet)
+        run(work, _lines, reporting)
     except typer.Exit as end:
         if end.exit_code == INTERRUPTED:
             _say("what is finished stays; the same command goes on from there")

@@ -21,37 +21,7 @@ from napari_defocus import (
     restoration_commands,
     stack_commands,
 )
-from napari_defocus.commands import (
-    AsJson,
-    ColorSigma,
-    ConfidenceOutput,
-    Force,
-    ImagePath,
-    IntensityRange,
-    LinearizeOption,
-    MapOutputs,
-    MapSmoothness,
-    MaskOutput,
-    MaskSmoothness,
-    MaxRadius,
-    MinConfidence,
-    ModeOption,
-    NoiseVariance,
-    OverlayOutput,
-    PSFText,
-    Quiet,
-    RegionsOutput,
-    SavedSettings,
-    SeedsPath,
-    SettingsFile,
-    ShotNoiseOption,
-    Stride,
-    Threshold,
-    Window,
-    check_endings,
-    last_lines,
-    run,
-)
+from napari_defocus.commands import check_endings, last_lines, run
 from napari_defocus.measurement import (
     Measurement,
     beside,
@@ -63,6 +33,30 @@ from napari_defocus.measurement import (
     picture_facts,
     shares,
     used,
+)
+from napari_defocus.option_groups import (
+    EvidenceOptions,
+    MapOptions,
+    Reporting,
+    SettingsFiles,
+    with_groups,
+)
+from napari_defocus.options import (
+    ColorSigma,
+    ConfidenceOutput,
+    Force,
+    ImagePath,
+    LinearizeOption,
+    MapOutputs,
+    MaskOutput,
+    MaskSmoothness,
+    MinConfidence,
+    OverlayOutput,
+    PSFText,
+    RegionsOutput,
+    SeedsPath,
+    ShotNoiseOption,
+    Threshold,
 )
 from napari_defocus.progress import Progress, within
 from napari_defocus.settings import (
@@ -123,27 +117,17 @@ def _program(
 
 
 @app.command("map", cls=SettingsCommand)
+@with_groups
 def map_picture(
     image: ImagePath,
-    psf: PSFText = MapSettings.psf,
-    noise_variance: NoiseVariance = MapSettings.noise_variance,
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
-    max_radius: MaxRadius = MapSettings.max_radius,
-    window: Window = MapSettings.window,
-    stride: Stride = MapSettings.stride,
-    smoothness: MapSmoothness = MapSettings.smoothness,
-    color_sigma: ColorSigma = MapSettings.color_sigma,
-    mode: ModeOption = MapSettings.mode,
-    linearize: LinearizeOption = MapSettings.linearize,
-    intensity_range: IntensityRange = None,
+    *,
+    measuring: MapOptions,
     output: MapOutputs = None,
     confidence: ConfidenceOutput = None,
     min_confidence: MinConfidence = 0.0,
-    settings_file: SettingsFile = None,
-    save_settings: SavedSettings = None,
+    settings_files: SettingsFiles,
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Measure how wide the blur is, in px, at every pixel of IMAGE."""
     maps = output or [beside(image, "-blur.tif"), beside(image, "-blur.png")]
@@ -152,58 +136,42 @@ def map_picture(
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
-        settings = MapSettings(
-            psf=psf,
-            noise_variance=noise_variance,
-            shot_noise=shot_noise,
-            max_radius=max_radius,
-            window=window,
-            stride=stride,
-            smoothness=smoothness,
-            color_sigma=color_sigma,
-            mode=mode,
-            linearize=linearize,
-        )
-        settings.family()
+        settings = measuring.settings()
         check_confidence("min_confidence", min_confidence)
         check_endings(outputs, ".tif", ".tiff", ".png")
         picture = files.read_picture(image)
-        files.check_results(with_settings(outputs, save_settings), force=force, source=image)
-        found = measure_map(picture, settings, intensity_range, progress)
+        files.check_results(
+            with_settings(outputs, settings_files.save_settings), force=force, source=image
+        )
+        found = measure_map(picture, settings, measuring.intensity_range, progress)
         facts = picture_facts(image, outputs, found, settings) | map_facts(found, min_confidence)
         contents = _encoded_maps(maps, found, min_confidence, settings)
         contents |= _encoded_confidence(confidence, found, settings)
-        contents |= saved_settings(save_settings, "map", napari_defocus.Settings(map=settings))
+        contents |= saved_settings(
+            settings_files.save_settings, "map", napari_defocus.Settings(map=settings)
+        )
         files.write_results(contents, force=force)
         return facts
 
-    run(measure, _lines, as_json, quiet)
+    run(measure, _lines, reporting)
 
 
 @app.command("segment", cls=SettingsCommand)
+@with_groups
 def segment_picture(
     image: ImagePath,
+    *,
     threshold: Threshold = None,
-    psf: PSFText = MapSettings.psf,
-    noise_variance: NoiseVariance = MapSettings.noise_variance,
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
-    max_radius: MaxRadius = MapSettings.max_radius,
-    window: Window = MapSettings.window,
-    stride: Stride = MapSettings.stride,
+    measuring: EvidenceOptions,
     smoothness: MaskSmoothness = MaskSettings.smoothness,
     color_sigma: ColorSigma = MaskSettings.color_sigma,
     seeds: SeedsPath = None,
-    mode: ModeOption = MapSettings.mode,
-    linearize: LinearizeOption = MapSettings.linearize,
-    intensity_range: IntensityRange = None,
     output: MaskOutput = None,
     overlay: OverlayOutput = None,
     regions: RegionsOutput = None,
-    settings_file: SettingsFile = None,
-    save_settings: SavedSettings = None,
+    settings_files: SettingsFiles,
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Find what is in focus in IMAGE."""
     if output is None and overlay is None:
@@ -211,20 +179,12 @@ def segment_picture(
     pictures = [path for path in (output, overlay) if path is not None]
     tables = [regions] if regions else []
     outputs = [*pictures, *tables]
+    intensity_range = measuring.intensity_range
 
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
-        settings = MapSettings(
-            psf=psf,
-            noise_variance=noise_variance,
-            shot_noise=shot_noise,
-            max_radius=max_radius,
-            window=window,
-            stride=stride,
-            mode=mode,
-            linearize=linearize,
-        )
+        settings = measuring.settings()
         family = settings.family()
         mask_settings = MaskSettings(
             threshold=usual_threshold(family) if threshold is None else threshold,
@@ -237,7 +197,9 @@ def segment_picture(
         picture = files.read_picture(image)
         known = _seeds(seeds, picture)
         for source in (image, seeds):
-            files.check_results(with_settings(outputs, save_settings), force=force, source=source)
+            files.check_results(
+                with_settings(outputs, settings_files.save_settings), force=force, source=source
+            )
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, intensity_range, first)
         third = within(second, 0.5 if regions else 1.0, 1.0)
@@ -245,7 +207,7 @@ def segment_picture(
         mask = _mask(candidates, picture, mask_settings, intensity_range, second, known)
         contents = _encoded_masks(output, overlay, picture, mask, intensity_range)
         used_settings = napari_defocus.Settings(map=settings, mask=mask_settings)
-        contents |= saved_settings(save_settings, "segment", used_settings)
+        contents |= saved_settings(settings_files.save_settings, "segment", used_settings)
         facts = picture_facts(image, outputs, candidates, settings) | _mask_facts(mask)
         facts |= _seeds_facts(seeds, known)
         if regions:
@@ -256,19 +218,20 @@ def segment_picture(
         files.write_results(contents, force=force)
         return facts
 
-    run(measure, _lines, as_json, quiet)
+    run(measure, _lines, reporting)
 
 
 @app.command("demo")
+@with_groups
 def demonstrate(
     folder: Annotated[
         Path, typer.Argument(metavar="[FOLDER]", help="Where to write; made if missing.")
     ] = Path("demo-output"),
+    *,
     psf: PSFText = MapSettings.psf,
     shot_noise: ShotNoiseOption = MapSettings.shot_noise,
     linearize: LinearizeOption = MapSettings.linearize,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Measure a picture of ours; all results go into FOLDER.
 
@@ -303,7 +266,7 @@ def demonstrate(
         with _folder_for_results(folder):
             return measure(progress)
 
-    run(measure_into_folder, _lines, as_json, quiet)
+    run(measure_into_folder, _lines, reporting)
 
 
 def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
@@ -435,11 +398,11 @@ def _encoded_masks(
     return contents
 
 
-app.command("restore", cls=SettingsCommand)(restoration_commands.restore)
-app.command("refocus", cls=SettingsCommand)(restoration_commands.refocus)
-app.command("batch", cls=SettingsCommand)(batch_commands.batch)
-app.command("depth")(depth_commands.depth)
-app.command("explain")(explanation_commands.explain)
-app.command("sharpest")(stack_commands.sharpest)
-app.command("calibrate")(lens_commands.calibrate)
-app.command("compare-psf")(lens_commands.compare)
+app.command("restore", cls=SettingsCommand)(with_groups(restoration_commands.restore))
+app.command("refocus", cls=SettingsCommand)(with_groups(restoration_commands.refocus))
+app.command("batch", cls=SettingsCommand)(with_groups(batch_commands.batch))
+app.command("depth", cls=SettingsCommand)(with_groups(depth_commands.depth))
+app.command("explain", cls=SettingsCommand)(with_groups(explanation_commands.explain))
+app.command("sharpest")(with_groups(stack_commands.sharpest))
+app.command("calibrate")(with_groups(lens_commands.calibrate))
+app.command("compare-psf")(with_groups(lens_commands.compare))

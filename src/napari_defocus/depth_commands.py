@@ -5,36 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import napari_defocus
-from napari_defocus.commands import (
-    AsJson,
-    ColorSigma,
-    DepthOutputs,
-    FNumber,
-    FocalLength,
-    FocusDistance,
-    Force,
-    ImagePath,
-    IntensityRange,
-    KnownConfidence,
-    KnownMap,
-    LinearizeOption,
-    MapSmoothness,
-    MaxRadius,
-    MinConfidence,
-    ModeOption,
-    NoiseVariance,
-    PixelPitch,
-    PSFTextOrMaps,
-    Quiet,
-    ShotNoiseOption,
-    SideOption,
-    check_endings,
-    last_lines,
-    run,
-)
+from napari_defocus.commands import check_endings, last_lines, run
 from napari_defocus.measurement import (
     Measurement,
     beside,
@@ -43,11 +17,18 @@ from napari_defocus.measurement import (
     lines_of,
     map_facts,
     picture_facts,
-    psf_for,
     used,
 )
+from napari_defocus.option_groups import (
+    LensOptions,
+    MapOrFileOptions,
+    Reporting,
+    SettingsFiles,
+)
+from napari_defocus.options import DepthOutputs, Force, ImagePath, MinConfidence, SideOption
 from napari_defocus.progress import Progress
-from napari_defocus.settings import MapSettings, RefocusSettings, Side, check_confidence
+from napari_defocus.settings import RefocusSettings, Side, check_confidence
+from napari_defocus.settings_options import saved_settings, with_settings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,68 +36,32 @@ if TYPE_CHECKING:
     from napari_defocus.depth import ThinLens
 
 
-class GivenLens(TypedDict):
-    """What is given of a lens, by the names of `ThinLens`; None is left to the picture's EXIF."""
-
-    focal_length_mm: float | None
-    f_number: float | None
-    focus_distance_m: float | None
-    pixel_pitch_um: float | None
-
-
 _SIDES = {"far": "beyond", "near": "before"}
 
 
 def depth(
     image: ImagePath,
-    focal_length: FocalLength = None,
-    f_number: FNumber = None,
-    focus_distance: FocusDistance = None,
-    pixel_pitch: PixelPitch = None,
+    *,
+    thin_lens: LensOptions,
     side: SideOption = RefocusSettings.side,
-    psf: PSFTextOrMaps = None,
-    noise_variance: NoiseVariance = MapSettings.noise_variance,
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
-    max_radius: MaxRadius = MapSettings.max_radius,
-    smoothness: MapSmoothness = MapSettings.smoothness,
-    color_sigma: ColorSigma = MapSettings.color_sigma,
-    mode: ModeOption = MapSettings.mode,
-    linearize: LinearizeOption = MapSettings.linearize,
-    intensity_range: IntensityRange = None,
-    known_map: KnownMap = None,
-    map_confidence: KnownConfidence = None,
+    measuring: MapOrFileOptions,
     min_confidence: MinConfidence = 0.0,
     output: DepthOutputs = None,
+    settings_files: SettingsFiles,
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Tell from the blur how far away, in m, everything in IMAGE is.
 
     It takes the lens: what IMAGE notes of it (EXIF), and what you give instead.
     """
     outputs = output or [beside(image, "-depth.tif"), beside(image, "-depth.png")]
-    given = GivenLens(
-        focal_length_mm=focal_length,
-        f_number=f_number,
-        focus_distance_m=focus_distance,
-        pixel_pitch_um=pixel_pitch,
-    )
+    known_map, map_confidence = measuring.known_map, measuring.map_confidence
 
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
-        settings = MapSettings(
-            psf=psf_for(psf, known_map),
-            noise_variance=noise_variance,
-            shot_noise=shot_noise,
-            max_radius=max_radius,
-            smoothness=smoothness,
-            color_sigma=color_sigma,
-            mode=mode,
-            linearize=linearize,
-        )
-        settings.family()
+        settings = measuring.settings()
         check_confidence("min_confidence", min_confidence)
         if min_confidence > 0 and known_map is not None and map_confidence is None:
             raise ValueError(
@@ -124,25 +69,33 @@ def depth(
             )
         check_endings(outputs, ".tif", ".tiff", ".png")
         picture = files.read_picture(image)
-        lens = thin_lens(image, given)
+        lens = lens_of(image, thin_lens)
         check_side(side, lens)
         for source in (image, known_map, map_confidence):
-            files.check_results(outputs, force=force, source=source)
-        found = find_blur(picture, settings, intensity_range, known_map, map_confidence, progress)
+            files.check_results(
+                with_settings(outputs, settings_files.save_settings), force=force, source=source
+            )
+        found = find_blur(
+            picture, settings, measuring.intensity_range, known_map, map_confidence, progress
+        )
         trusted = found.trusted(min_confidence)
         distance = napari_defocus.depth_from_blur(trusted, lens, side=side, psf=found.psf)
-        facts = lens_facts(lens, given) | {"side": side}
+        facts = lens_facts(lens, thin_lens) | {"side": side}
         made_with = used(found, settings) | facts | {"min_confidence": min_confidence}
-        files.write_results(_encoded(outputs, distance, made_with, min_confidence), force=force)
+        contents = _encoded(outputs, distance, made_with, min_confidence)
+        used_settings = napari_defocus.Settings(map=settings)
+        contents |= saved_settings(settings_files.save_settings, "depth", used_settings)
+        files.write_results(contents, force=force)
         facts |= file_facts(found) | map_facts(found, min_confidence) | _depth_facts(distance)
         facts |= {"reach_m": _reach(found, lens, side)}
         return picture_facts(image, outputs, found, settings) | facts
 
-    run(measure, _lines, as_json, quiet)
+    run(measure, _lines, reporting)
 
 
-def thin_lens(image: Path, given: GivenLens) -> ThinLens:
+def lens_of(image: Path, options: LensOptions) -> ThinLens:
     """Return the lens that is given; what is not, the picture has to note."""
+    given = options.given
     if None in given.values():
         return napari_defocus.ThinLens.from_exif(image, **given)
     # Not every picture that is read here can be asked for EXIF.
@@ -155,8 +108,9 @@ def check_side(side: Side, lens: ThinLens) -> None:
         raise ValueError("side is 'far', but the lens is focused at infinity; it takes 'near'")
 
 
-def lens_facts(lens: ThinLens, given: GivenLens) -> dict[str, Any]:
+def lens_facts(lens: ThinLens, options: LensOptions) -> dict[str, Any]:
     """Return what is told about a lens; JSON has no number for infinity."""
+    given = options.given
     values = {name: getattr(lens, name) for name in given}
     facts: dict[str, Any] = {
         name: value if math.isfinite(value) else "inf" for name, value in values.items()

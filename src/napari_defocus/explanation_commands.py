@@ -10,27 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import napari_defocus
-from napari_defocus.commands import (
-    AsJson,
-    ColorSigma,
-    Force,
-    ImagePath,
-    IntensityRange,
-    LinearizeOption,
-    MapSmoothness,
-    MaxRadius,
-    ModeOption,
-    NoiseVariance,
-    PSFText,
-    Quiet,
-    ShotNoiseOption,
-    check_endings,
-    last_lines,
-    run,
-)
+from napari_defocus.commands import check_endings, last_lines, run
 from napari_defocus.measurement import lines_of, measure_map, picture_facts
+from napari_defocus.option_groups import MapOptions, Reporting
+from napari_defocus.options import Force, ImagePath, SettingsFile
 from napari_defocus.progress import Progress
-from napari_defocus.settings import MapSettings
 
 if TYPE_CHECKING:
     from napari_defocus.explanation import PixelExplanation
@@ -57,19 +41,12 @@ def explain(
     image: ImagePath,
     row: Row,
     column: Column,
-    psf: PSFText = MapSettings.psf,
-    noise_variance: NoiseVariance = MapSettings.noise_variance,
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
-    max_radius: MaxRadius = MapSettings.max_radius,
-    smoothness: MapSmoothness = MapSettings.smoothness,
-    color_sigma: ColorSigma = MapSettings.color_sigma,
-    mode: ModeOption = MapSettings.mode,
-    linearize: LinearizeOption = MapSettings.linearize,
-    intensity_range: IntensityRange = None,
+    *,
+    measuring: MapOptions,
     output: CurveOutput = None,
+    settings_file: SettingsFile = None,  # read by SettingsCommand
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Tell why the blur map of IMAGE says what it says at one pixel."""
     outputs = [output] if output else []
@@ -78,23 +55,13 @@ def explain(
         from napari_defocus import files
         from napari_defocus.candidates import check_place
 
-        settings = MapSettings(
-            psf=psf,
-            noise_variance=noise_variance,
-            shot_noise=shot_noise,
-            max_radius=max_radius,
-            smoothness=smoothness,
-            color_sigma=color_sigma,
-            mode=mode,
-            linearize=linearize,
-        )
-        settings.family()
+        settings = measuring.settings()
         check_endings(outputs, ".png")
         picture = files.read_picture(image)
         height, width = picture.shape[:2]
         check_place(row, column, (height, width))
         files.check_results(outputs, force=force, source=image)
-        found = measure_map(picture, settings, intensity_range, progress)
+        found = measure_map(picture, settings, measuring.intensity_range, progress)
         assert found.candidates is not None
         told = napari_defocus.explain_pixel(
             found.candidates,
@@ -103,12 +70,12 @@ def explain(
             blur_map=found.blur_map,
             confidence=found.confidence,
             image=picture,
-            intensity_range=intensity_range,
+            intensity_range=measuring.intensity_range,
         )
         files.write_results({path: _drawing(told) for path in outputs}, force=force)
         return picture_facts(image, outputs, found, settings) | _facts(told)
 
-    run(measure, _lines, as_json, quiet)
+    run(measure, _lines, reporting)
 
 
 def _drawing(told: PixelExplanation) -> bytes:

@@ -10,18 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import napari_defocus
-from napari_defocus.commands import (
-    AsJson,
+from napari_defocus.commands import check_endings, last_lines, run
+from napari_defocus.option_groups import Reporting
+from napari_defocus.options import (
     Force,
     ImagePath,
     IntensityRange,
     LinearizeOption,
     MaxRadius,
     NoiseVariance,
-    Quiet,
-    check_endings,
-    last_lines,
-    run,
 )
 from napari_defocus.progress import Progress
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, psf_of
@@ -31,6 +28,7 @@ if TYPE_CHECKING:
 
 
 def calibrate(
+    *,
     pictures: Annotated[
         list[Path],
         typer.Argument(
@@ -75,8 +73,7 @@ def calibrate(
     ] = None,
     intensity_range: IntensityRange = None,
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Measure what your lens makes of a point, from PICTUREs at a few settings of its focus."""
 
@@ -114,11 +111,12 @@ def calibrate(
             "files": [str(output)],
         }
 
-    run(measure, _calibration_lines, as_json, quiet)
+    run(measure, _calibration_lines, reporting)
 
 
 def compare(
     image: ImagePath,
+    *,
     family: Annotated[
         list[str] | None,
         typer.Option(
@@ -132,8 +130,7 @@ def compare(
     max_radius: MaxRadius = MapSettings.max_radius,
     linearize: LinearizeOption = MapSettings.linearize,
     intensity_range: IntensityRange = None,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Compare how well lenses explain the blur of IMAGE, the best first."""
 
@@ -171,7 +168,7 @@ def compare(
             "files": [],
         }
 
-    run(measure, _comparison_lines, as_json, quiet)
+    run(measure, _comparison_lines, reporting)
 
 
 def _calibration_lines(facts: Mapping[str, Any]) -> Iterator[str]:

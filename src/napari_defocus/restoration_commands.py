@@ -9,51 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import napari_defocus
-from napari_defocus.commands import (
-    Aperture,
-    AsJson,
-    ColorSigma,
-    Encoding,
-    EncodingOption,
-    FNumber,
-    FocalLength,
-    FocusDistance,
-    FocusOption,
-    Force,
-    ImagePath,
-    IntensityRange,
-    KnownConfidence,
-    KnownMap,
-    LinearizeOption,
-    MapSmoothness,
-    MaxRadius,
-    ModeOption,
-    NoiseVariance,
-    PixelPitch,
-    PSFTextOrMaps,
-    Quiet,
-    RefocusedOutputs,
-    RestoredOutputs,
-    Risk,
-    SavedSettings,
-    SettingsFile,
-    SharpAt,
-    ShotNoiseOption,
-    SideOption,
-    Stride,
-    TVWeight,
-    Window,
-    check_endings,
-    last_lines,
-    run,
-)
+from napari_defocus.commands import check_endings, last_lines, run
 from napari_defocus.depth_commands import (
-    GivenLens,
     check_side,
     lens_facts,
     lens_line,
+    lens_of,
     side_line,
-    thin_lens,
 )
 from napari_defocus.measurement import (
     Measurement,
@@ -63,8 +25,27 @@ from napari_defocus.measurement import (
     lines_of,
     map_facts,
     picture_facts,
-    psf_for,
     used,
+)
+from napari_defocus.option_groups import (
+    LensOptions,
+    MapOrFileOptions,
+    Reporting,
+    SettingsFiles,
+)
+from napari_defocus.options import (
+    Aperture,
+    Encoding,
+    EncodingOption,
+    FocusOption,
+    Force,
+    ImagePath,
+    RefocusedOutputs,
+    RestoredOutputs,
+    Risk,
+    SharpAt,
+    SideOption,
+    TVWeight,
 )
 from napari_defocus.progress import Progress, within
 from napari_defocus.settings import (
@@ -94,142 +75,94 @@ _USUAL_ENCODING: Encoding = RefocusSettings.linearize or "linear"
 
 def restore(
     image: ImagePath,
+    *,
     tv_weight: TVWeight = RestorationSettings.tv_weight,
     risk: Risk = RestorationSettings.risk,
-    psf: PSFTextOrMaps = None,
-    noise_variance: NoiseVariance = MapSettings.noise_variance,
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
-    max_radius: MaxRadius = MapSettings.max_radius,
-    window: Window = MapSettings.window,
-    stride: Stride = MapSettings.stride,
-    smoothness: MapSmoothness = MapSettings.smoothness,
-    color_sigma: ColorSigma = MapSettings.color_sigma,
-    mode: ModeOption = MapSettings.mode,
-    linearize: LinearizeOption = MapSettings.linearize,
-    intensity_range: IntensityRange = None,
-    known_map: KnownMap = None,
-    map_confidence: KnownConfidence = None,
+    measuring: MapOrFileOptions,
     output: RestoredOutputs = None,
-    settings_file: SettingsFile = None,
-    save_settings: SavedSettings = None,
+    settings_files: SettingsFiles,
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Bring all of IMAGE into focus, as far as its blur and its noise allow."""
     outputs = output or [beside(image, "-in-focus.png")]
+    intensity_range = measuring.intensity_range
+    known_map, map_confidence = measuring.known_map, measuring.map_confidence
 
     def work(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
-        settings = MapSettings(
-            psf=psf_for(psf, known_map),
-            noise_variance=noise_variance,
-            shot_noise=shot_noise,
-            max_radius=max_radius,
-            window=window,
-            stride=stride,
-            smoothness=smoothness,
-            color_sigma=color_sigma,
-            mode=mode,
-            linearize=linearize,
-        )
-        settings.family()
+        settings = measuring.settings()
         check_tv_weight(tv_weight)
         check_risk(risk)
         check_endings(outputs, ".png", ".tif", ".tiff")
         picture = files.read_picture(image)
         for source in (image, known_map, map_confidence):
-            files.check_results(with_settings(outputs, save_settings), force=force, source=source)
+            files.check_results(
+                with_settings(outputs, settings_files.save_settings), force=force, source=source
+            )
         first, second = _shares(progress)
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
-        noise = _noise_variance(found, picture, settings, linearize, intensity_range)
+        noise = _noise_variance(found, picture, settings, settings.linearize, intensity_range)
         found = replace(found, noise_variance=noise)
         weight = _weight(tv_weight, noise, picture)
         facts = picture_facts(image, outputs, found, settings)
         facts |= file_facts(found) | map_facts(found) | {"tv_weight": weight}
-        sharp = _restored(picture, found, noise, weight, risk, linearize, intensity_range, second)
+        sharp = _restored(
+            picture, found, noise, weight, risk, settings.linearize, intensity_range, second
+        )
         made_with = used(found, settings) | {"tv_weight": weight, "risk": risk}
         contents = _encoded(outputs, sharp, picture, "all-in-focus picture", made_with)
         restoration = RestorationSettings(tv_weight=tv_weight, risk=risk)
         used_settings = napari_defocus.Settings(map=settings, restoration=restoration)
-        contents |= saved_settings(save_settings, "restore", used_settings)
+        contents |= saved_settings(settings_files.save_settings, "restore", used_settings)
         files.write_results(contents, force=force)
         return facts
 
-    run(work, _restored_lines, as_json, quiet)
+    run(work, _restored_lines, reporting)
 
 
 def refocus(
     image: ImagePath,
+    *,
     focus: FocusOption = None,
     sharp_at: SharpAt = None,
     aperture: Aperture = RefocusSettings.aperture,
     side: SideOption = RefocusSettings.side,
     encoding: EncodingOption = _USUAL_ENCODING,
-    focal_length: FocalLength = None,
-    f_number: FNumber = None,
-    focus_distance: FocusDistance = None,
-    pixel_pitch: PixelPitch = None,
+    thin_lens: LensOptions,
     tv_weight: TVWeight = RestorationSettings.tv_weight,
     risk: Risk = RestorationSettings.risk,
-    psf: PSFTextOrMaps = None,
-    noise_variance: NoiseVariance = MapSettings.noise_variance,
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise,
-    max_radius: MaxRadius = MapSettings.max_radius,
-    window: Window = MapSettings.window,
-    stride: Stride = MapSettings.stride,
-    smoothness: MapSmoothness = MapSettings.smoothness,
-    color_sigma: ColorSigma = MapSettings.color_sigma,
-    mode: ModeOption = MapSettings.mode,
-    linearize: LinearizeOption = MapSettings.linearize,
-    intensity_range: IntensityRange = None,
-    known_map: KnownMap = None,
-    map_confidence: KnownConfidence = None,
+    measuring: MapOrFileOptions,
     output: RefocusedOutputs = None,
-    settings_file: SettingsFile = None,
-    save_settings: SavedSettings = None,
+    settings_files: SettingsFiles,
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Show IMAGE as if it had been focused elsewhere, or with another aperture.
 
     --focus or --sharp-at says what shall be sharp, --aperture how blurred the rest.
     """
     outputs = output or [beside(image, "-refocused.png")]
-    given = GivenLens(
-        focal_length_mm=focal_length,
-        f_number=f_number,
-        focus_distance_m=focus_distance,
-        pixel_pitch_um=pixel_pitch,
-    )
+    intensity_range = measuring.intensity_range
+    known_map, map_confidence = measuring.known_map, measuring.map_confidence
 
     def work(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
 
-        settings = MapSettings(
-            psf=psf_for(psf, known_map),
-            noise_variance=noise_variance,
-            shot_noise=shot_noise,
-            max_radius=max_radius,
-            window=window,
-            stride=stride,
-            smoothness=smoothness,
-            color_sigma=color_sigma,
-            mode=mode,
-            linearize=linearize,
-        )
+        settings = measuring.settings()
         family = settings.family()
         check_tv_weight(tv_weight)
         check_risk(risk)
-        _check_change(focus, sharp_at, aperture, given)
+        _check_change(focus, sharp_at, aperture, thin_lens)
         check_endings(outputs, ".png", ".tif", ".tiff")
         picture = files.read_picture(image)
-        change = _focus_facts(image, focus, sharp_at, side, given, family)
+        change = _focus_facts(image, focus, sharp_at, side, thin_lens, family)
         change |= {"aperture": aperture, "side": side, "encoding": encoding}
         for source in (image, known_map, map_confidence):
-            files.check_results(with_settings(outputs, save_settings), force=force, source=source)
+            files.check_results(
+                with_settings(outputs, settings_files.save_settings), force=force, source=source
+            )
         first, second = _shares(progress)
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
         light: Linearize | None = "srgb" if encoding == "srgb" else None
@@ -263,11 +196,11 @@ def refocus(
                 focus=change["focus_px"], aperture=aperture, side=side, linearize=light
             ),
         )
-        contents |= saved_settings(save_settings, "refocus", used_settings)
+        contents |= saved_settings(settings_files.save_settings, "refocus", used_settings)
         files.write_results(contents, force=force)
         return facts
 
-    run(work, _refocused_lines, as_json, quiet)
+    run(work, _refocused_lines, reporting)
 
 
 def _shares(progress: Progress) -> tuple[Progress, Progress]:
@@ -300,13 +233,13 @@ def _restored(
 
 
 def _check_change(
-    focus: float | None, sharp_at: float | None, aperture: float, given: GivenLens
+    focus: float | None, sharp_at: float | None, aperture: float, thin_lens: LensOptions
 ) -> None:
     """Check what shall change, as far as that goes without the lens."""
     if focus is not None and sharp_at is not None:
         raise ValueError(f"focus is {focus} and sharp_at is {sharp_at}; one of them is enough")
     if sharp_at is None:
-        for name, value in given.items():
+        for name, value in thin_lens.given.items():
             if value is not None:
                 raise ValueError(f"{name} is {value}, but only sharp_at takes a lens")
         if focus in (None, RefocusSettings.focus) and aperture == RefocusSettings.aperture:
@@ -324,13 +257,13 @@ def _focus_facts(
     focus: float | None,
     sharp_at: float | None,
     side: Side,
-    given: GivenLens,
+    thin_lens: LensOptions,
     psf: PSFFamily,
 ) -> dict[str, Any]:
     """Return the blur of what shall be sharp, and how it was found."""
     if sharp_at is None:
         return {"focus_px": RefocusSettings.focus if focus is None else focus}
-    lens = thin_lens(image, given)
+    lens = lens_of(image, thin_lens)
     check_side(side, lens)
     blur = float(napari_defocus.blur_from_depth(sharp_at, lens, psf=psf))
     if not math.isfinite(blur):
@@ -338,7 +271,9 @@ def _focus_facts(
     beyond = sharp_at > lens.focus_distance_m
     told = {"sharp_at_m": sharp_at if math.isfinite(sharp_at) else "inf"}
     return (
-        {"focus_px": blur if beyond == (side == "far") else -blur} | told | lens_facts(lens, given)
+        {"focus_px": blur if beyond == (side == "far") else -blur}
+        | told
+        | lens_facts(lens, thin_lens)
     )
 
 

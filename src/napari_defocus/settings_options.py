@@ -30,6 +30,8 @@ PARTS_OF: dict[str, dict[str, type[Any]]] = {
         "restoration": RestorationSettings,
         "map": MapSettings,
     },
+    "depth": {"map": MapSettings},
+    "explain": {"map": MapSettings},
     "batch": {"restoration": RestorationSettings, "mask": MaskSettings, "map": MapSettings},
 }
 """What each command takes from a settings file; of one option in two parts, the later says it."""

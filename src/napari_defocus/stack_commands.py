@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import napari_defocus
-from napari_defocus.commands import (
-    AsJson,
+from napari_defocus.commands import check_endings, last_lines, run
+from napari_defocus.measurement import beside
+from napari_defocus.option_groups import Reporting
+from napari_defocus.options import (
     ColorSigma,
     Force,
     IntensityRange,
@@ -20,12 +22,7 @@ from napari_defocus.commands import (
     MaxRadius,
     NoiseVariance,
     PSFText,
-    Quiet,
-    check_endings,
-    last_lines,
-    run,
 )
-from napari_defocus.measurement import beside
 from napari_defocus.progress import Progress
 from napari_defocus.settings import CONFIDENT, MapSettings
 
@@ -92,6 +89,7 @@ class _Outputs:
 
 def sharpest(
     stack: StackPath,
+    *,
     px_per_plane: PxPerPlane = None,
     psf: PSFText = MapSettings.psf,
     noise_variance: NoiseVariance = MapSettings.noise_variance,
@@ -104,8 +102,7 @@ def sharpest(
     position: PositionOutput = None,
     confidence: PositionConfidence = None,
     force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
+    reporting: Reporting,
 ) -> None:
     """Find where each pixel of STACK is in focus, and make one picture of the sharpest."""
     outputs = _Outputs(output or beside(stack, "-sharpest.tif"), position, confidence)
@@ -142,7 +139,7 @@ def sharpest(
         _write(outputs, source, found, facts | {"psf": psf, "smoothness": smoothness}, force)
         return facts
 
-    run(measure, _lines, as_json, quiet)
+    run(measure, _lines, reporting)
 
 
 def _only_stack(source: Source) -> Source:
