@@ -177,6 +177,9 @@ def test_picture_that_is_none_is_named():
         calibrate_psf([np.full((61, 61), np.nan), lamps(1)])
     with pytest.raises(ValueError, match=r"scales are .*; it takes increasing px from 0 up"):
         calibrate_psf([lamps(1), lamps(2)], scales=[-1, 2])
+    for scales in ([[1, 2, 3], [4, 5]], [[1], [2]]):
+        with pytest.raises(ValueError, match=r"scales (are|have) "):
+            calibrate_psf([lamps(1), lamps(2)], scales=scales)
 
 
 def test_family_says_what_it_was_made_from(tmp_path):

@@ -196,6 +196,7 @@ def test_picture_smaller_than_a_window_has_finite_curves(shape):
         ({"noise_variance": -1e-6}, "noise_variance is"),
         ({"noise_variance": np.nan}, "noise_variance is"),
         ({"noise_variance": np.inf}, "noise_variance is"),
+        ({"noise_variance": 1e300}, "noise_variance is"),
         ({"window": 40}, "window is 40"),
         ({"window": 15}, "window is 15"),
         ({"window": 41.5}, "window is 41.5"),
@@ -218,6 +219,17 @@ def test_picture_smaller_than_a_window_has_finite_curves(shape):
 def test_bad_setting_is_a_value_error_that_names_it(settings, words):
     with pytest.raises(ValueError, match=words):
         estimate_candidates(np.zeros((60, 60)), **settings)
+
+
+@pytest.mark.parametrize("mode", ["curve", "paper"])
+def test_noise_is_not_below_what_single_precision_rounds_away(gravel, mode):
+    picture = simulate_defocus(gravel[:60, :60], np.full((60, 60), 2.0))
+    large = estimate_candidates(9e8 * picture.astype(float), noise_variance=0, mode=mode)
+    assert large.noise_variance == 0
+    rounding = estimate_candidates(picture, noise_variance=1.4e-14, mode=mode)
+    best = large.radii[3:-3, 3:-3, 0]
+    np.testing.assert_allclose(best, rounding.radii[3:-3, 3:-3, 0], atol=0.1)
+    np.testing.assert_allclose(np.median(best), 2, atol=0.1)
 
 
 @pytest.mark.parametrize("psf", [None, 3.0, "disc", Disc])

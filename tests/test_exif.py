@@ -126,6 +126,12 @@ def test_distance_to_infinity_is_read(photograph):
     assert ThinLens.from_exif(photograph(**tags)).focus_distance_m == math.inf
 
 
+def test_values_that_make_no_lens_are_said_to_be_those_of_the_photograph(photograph):
+    file = photograph(**{**NOTED, "FocalLength": IFDRational(5000, 1)})
+    with pytest.raises(ValueError, match=r"above the focal length, 5 m .*notes focal_length_mm"):
+        ThinLens.from_exif(file, focus_distance_m=2.0)
+
+
 def test_all_that_is_missing_is_named_in_one_line(photograph):
     file = photograph()
     with pytest.raises(ValueError, match="does not note") as caught:

@@ -164,6 +164,7 @@ def test_families_meet_where_their_shapes_do(scale):
         (Disc().kernel(2 * scale), GeneralizedGaussian(np.inf).kernel(scale), 1e-12),
         (Disc().kernel(2 * scale), Polygon(200).kernel(2 * scale), 1e-3),
         (Disc().kernel(scale), Annulus(0.0).kernel(scale), 1e-12),
+        (Disc().kernel(scale), Annulus(5e-324).kernel(scale), 1e-12),
         (Polygon(4).kernel(scale), Polygon(4, rotation=-90.0).kernel(scale), 1e-9),
     ]
     for one, other, tolerance in pairs:

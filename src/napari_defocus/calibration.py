@@ -23,7 +23,7 @@ import napari_defocus
 from napari_defocus.image import prepare_image
 from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.progress import Progress, silent
-from napari_defocus.psf import Disc
+from napari_defocus.psf import Disc, real_array
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -119,8 +119,7 @@ def calibrate_psf(
         _luminance(picture, f"pictures[{i}]", intensity_range) for i, picture in enumerate(given)
     ]
     _check_count("scales", scales, len(blurred))
-    if isinstance(scales, str):
-        raise TypeError(f"scales is {scales!r}; it takes a number of px for each picture")
+    given_scales = None if scales is None else _numbers_of_pictures(scales)
     _check_count("names", names, len(blurred))
     references = _references(sharp, blurred, intensity_range)
     kernels = []
@@ -132,9 +131,9 @@ def calibrate_psf(
             if references is None
             else _kernel_of_pair(picture, references[index], name)
         )
-    found = np.array(
-        [disc_radius(kernel) for kernel in kernels] if scales is None else scales, float
-    )
+    found = given_scales
+    if found is None:
+        found = np.array([disc_radius(kernel) for kernel in kernels])
     setting_scales, setting_kernels = _settings(found, kernels)
     progress("Measuring the PSF", 1.0)
     provenance = {
@@ -190,6 +189,16 @@ def _luminance(
         return prepare_image(picture, intensity_range).luminance
     except (TypeError, ValueError) as error:
         raise type(error)(f"{name}: {error}") from None
+
+
+def _numbers_of_pictures(scales: Any) -> Float64:
+    takes = "it takes a number of px for each picture"
+    if isinstance(scales, str):
+        raise TypeError(f"scales is {scales!r}; {takes}")
+    array = real_array(scales, "scales are")
+    if array.ndim != 1:
+        raise ValueError(f"scales have shape {array.shape}; {takes}")
+    return array
 
 
 def _check_count(name: str, values: Sequence[object] | None, count: int) -> None:

@@ -406,6 +406,7 @@ def candidates_of(
     radii = np.empty((*shape, CANDIDATES), np.float32)
     log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
     curve = np.empty((*shape, len(scales)), np.float32)
+    least_noise = max(noise_variance, picture.rounding_variance)
     for block in grid.blocks():
         progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
         power = local_power(gradient, grid.rows[block], grid.columns, window)
@@ -415,18 +416,16 @@ def candidates_of(
             power /= np.maximum(noisier[block], _TINY)[..., None, None]
         points = power.reshape(-1, *table.noise.shape)
         if mode == "paper":
-            block_curve = profile_log_likelihood(points, table, scales, noise_variance)
+            block_curve = profile_log_likelihood(points, table, scales, least_noise)
             dispersion = np.ones(points.shape[:2], np.float32)
         else:
-            block_curve, dispersion = quasi_log_likelihood(points, table, scales, noise_variance)
+            block_curve, dispersion = quasi_log_likelihood(points, table, scales, least_noise)
         if search == "lattice":
             block_radii, block_heights = local_maxima(
-                points, block_curve, table, scales, noise_variance, dispersion
+                points, block_curve, table, scales, least_noise, dispersion
             )
         elif search == "fixed-point":
-            block_radii, block_heights = fixed_point_maxima(
-                points, table, noise_variance, dispersion
-            )
+            block_radii, block_heights = fixed_point_maxima(points, table, least_noise, dispersion)
         else:
             block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
             block_heights = np.full_like(block_radii, -np.inf)

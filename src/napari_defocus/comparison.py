@@ -162,12 +162,13 @@ def compare_psf(
     power = power[power.any(axis=(1, 2))]
     if not len(power):
         raise ValueError("image has no texture; no PSF family can be told from another")
+    least_noise = max(noise_variance, picture.rounding_variance)
     evidence, best_scale = np.empty((2, len(checked), len(power)))
     for index, psf in enumerate(checked):
         progress("Comparing PSF families", index / len(checked))
         table = spectrum_table(psf, window, rows[0] % 1, columns[0] % 1, "exact")
         scales = label_scales(psf)
-        curve = profile_log_likelihood(power, table, scales, noise_variance)
+        curve = profile_log_likelihood(power, table, scales, least_noise)
         evidence[index] = _log_mean_exp(curve)
         best_scale[index] = scales[curve.argmax(axis=1)]
     progress("Comparing PSF families", 1.0)

@@ -167,7 +167,12 @@ class ThinLens:
         missing = [name for name in known if name not in lens]
         if missing:
             raise ValueError(f"{path} does not note {_enumerated(missing)}; give what is missing")
-        return cls(**lens)
+        try:
+            return cls(**lens)
+        except ValueError as error:
+            if from_file := [name for name in lens if given[name] is None]:
+                raise ValueError(f"{error} ({path} notes {_enumerated(from_file)})") from error
+            raise
 
 
 def depth_from_blur(

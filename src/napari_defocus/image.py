@@ -41,6 +41,11 @@ class PreparedImage:
         """Height and width in px."""
         return self.luminance.shape[0], self.luminance.shape[1]
 
+    @property
+    def rounding_variance(self) -> float:
+        """No noise is smaller: about the square of what single precision rounds away."""
+        return float(np.finfo(np.float32).eps * np.abs(self.luminance).max()) ** 2
+
 
 def prepare_image(
     image: ArrayLike,
@@ -85,9 +90,9 @@ def prepare_image(
     intensity: NDArray[np.floating] = array.astype(
         np.float32 if array.dtype.itemsize <= 2 else np.float64, order="C"
     )
-    intensity -= low
-    intensity /= high - low
     with np.errstate(over="ignore"):
+        intensity -= low
+        intensity /= high - low
         color = intensity.reshape(*array.shape[:2], -1).astype(np.float32)
         if linearize == "srgb":
             color = decode_srgb(color)

@@ -248,7 +248,14 @@ def _checked_radii(
     radius_of_depth: RadiusOfDepth | ArrayLike, distance: Float64, psf: PSFFamily
 ) -> Float64:
     if callable(radius_of_depth):
-        name, values = "radius_of_depth returned", radius_of_depth(distance)
+        try:
+            name, values = "radius_of_depth returned", radius_of_depth(distance)
+        # Functions of others raise anything.
+        except Exception as error:
+            raise ValueError(
+                f"radius_of_depth of an array of shape {distance.shape} ends in "
+                f"{type(error).__name__}: {error}"
+            ) from error
     else:
         name, values = "radius_of_depth has", radius_of_depth
     radii = _checked_plane(name, values, distance.shape)

@@ -308,11 +308,13 @@ def first_log_strength(q: Float32, a: Float32) -> np.float32:
             weight = a[i] * inverse
             score += weight * (q[i] * inverse - one)
             information += weight * weight
+        if information <= np.float32(0):  # below single precision: no noise is that small
+            break
         before = s
         s = max(s + score / information, _SMALLEST / a[0])
         if abs(s - before) < np.float32(0.1) * before:
             break
-    return np.log(s)
+    return min(np.log(s), _LARGEST_LOG)
 
 
 @njit(cache=True, fastmath=True, nogil=True, inline="always")

@@ -134,8 +134,9 @@ class Annulus:
         scale = checked_scale(scale)
         outer = max(scale, 0.5)
         area = _disc_area(corners_to(outer), outer)
-        if self.obstruction > 0:
-            area -= _disc_area(corners_to(outer), self.obstruction * outer)
+        inner = self.obstruction * outer
+        if inner > 0:
+            area -= _disc_area(corners_to(outer), inner)
         return _from_quadrant(area)
 
 
@@ -360,7 +361,7 @@ class KernelFunction:
         if scale <= 0:
             return np.ones((1, 1))
         return checked_kernels(
-            self.function(scale), 2, f"function returned at {scale:g} px", "a kernel"
+            self.function(scale), 2, f"psf function returned at {scale:g} px", "a kernel"
         )
 
 

@@ -83,6 +83,8 @@ class MapSettings:
         check_weights(self.smoothness, self.color_sigma)
         check_mode(self.mode)
         check_linearize(self.linearize)
+        check_whole("window", self.window)
+        check_whole("stride", self.stride)
         check_flag("shot_noise", self.shot_noise)
         if self.shot_noise and self.noise_variance is not None:
             raise ValueError(
@@ -241,6 +243,12 @@ def check_flag(name: str, value: Any) -> None:
         raise TypeError(f"{name} is {value!r}; it takes True or False")
 
 
+def check_whole(name: str, value: Any) -> None:
+    """Refuse, naming it, what is no number of px from 1 up."""
+    if not isinstance(value, Integral) or int(value) < 1:
+        raise ValueError(f"{name} is {value!r}; it takes a whole number of px from 1 up")
+
+
 def check_focus(focus: Any) -> None:
     """Check the scale that shall be sharp, in px."""
     check_real("focus", focus, "a finite number of px")
@@ -275,9 +283,10 @@ def check_noise_variance(noise_variance: float | None) -> None:
     if noise_variance is None:
         return
     check_real("noise_variance", noise_variance, "a finite number from 0 up, or None")
-    if not (math.isfinite(noise_variance) and noise_variance >= 0):
+    if not 0 <= noise_variance <= 1e15:
         raise ValueError(
-            f"noise_variance is {noise_variance}; it takes a finite number from 0 up, or None"
+            f"noise_variance is {noise_variance}; it takes a finite number from 0 up (to 1e15), "
+            "or None"
         )
 
 
@@ -299,9 +308,11 @@ def check_weights(smoothness: float, color_sigma: float) -> None:
     """Check the parameters of (16)."""
     check_real("smoothness", smoothness, "a finite number from 0 up")
     check_real("color_sigma", color_sigma, "a finite number above 0")
-    if not (math.isfinite(smoothness) and smoothness >= 0):
-        raise ValueError(f"smoothness is {smoothness}; it takes a finite number from 0 up")
-    # Its square is divided by, in single precision.
+    # In single precision, larger ones are infinite; the square of color_sigma is divided by.
+    if not 0 <= smoothness <= 1e15:
+        raise ValueError(
+            f"smoothness is {smoothness}; it takes a finite number from 0 up (to 1e15)"
+        )
     if not 1e-15 <= color_sigma <= 1e15:
         raise ValueError(
             f"color_sigma is {color_sigma}; it takes a finite number above 0 (1e-15 to 1e15)"

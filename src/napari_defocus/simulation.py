@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -78,8 +76,8 @@ def simulate_defocus(
 
 def noise_for(noise_variance: float, rng: int | np.random.Generator | None) -> np.random.Generator:
     """Check the noise that a simulation is asked for, and return where it comes from."""
-    takes = "a finite number from 0 up"
-    check_number("noise_variance", noise_variance, lambda v: 0 <= v < math.inf, takes)
+    takes = "a finite number from 0 up (to 1e15)"
+    check_number("noise_variance", noise_variance, lambda v: 0 <= v <= 1e15, takes)
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
