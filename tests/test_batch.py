@@ -327,7 +327,10 @@ def test_large_plane_is_measured_in_parts_and_goes_on(tmp_path, grass, monkeypat
 
 
 def start(inputs, output, workers):
-    command = [sys.executable, "-c", "from napari_defocus.cli import main; main()", "batch"]
+    # Where tests run in the background, SIGINT is ignored, also by what they start.
+    heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code = heeding + "from napari_defocus.cli import main; main()"
+    command = [sys.executable, "-c", code, "batch"]
     command += [str(inputs), "-o", str(output), "--workers", str(workers)]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
