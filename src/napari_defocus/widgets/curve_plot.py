@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
+from matplotlib.backends.qt_compat import _isdeleted
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from napari.utils.theme import get_theme
@@ -56,6 +57,14 @@ class CurvePlot(FigureCanvasQTAgg):
         self.mpl_connect("button_press_event", lambda event: self._on_press(event))
         self._fit()
         self.set_theme(theme)
+
+    def _draw_idle(self) -> None:
+        """Draw what was asked for, unless the widget is gone: before 3.11, matplotlib did not look.
+
+        It asks Qt for this method, later.
+        """
+        if not _isdeleted(self):
+            super()._draw_idle()
 
     def _fit(self) -> None:
         """Leave the room that the labels need, whatever the size."""
