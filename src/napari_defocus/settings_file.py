@@ -17,6 +17,7 @@ from napari_defocus.settings import (
     MaskSettings,
     RefocusSettings,
     RestorationSettings,
+    check_stride,
     psf_of,
 )
 
@@ -229,8 +230,4 @@ def _check_estimation(settings: MapSettings) -> None:
     # The file of a measured lens may be elsewhere now, or another lens be asked for.
     text = "disc" if settings.psf.lower().endswith(".npz") else settings.psf
     check_windows(psf_of(text, settings.max_radius), settings.window)
-    if not 1 <= settings.stride <= settings.window:
-        raise ValueError(
-            f"stride is {settings.stride}; it takes a whole number of px from 1 to "
-            f"{settings.window}"
-        )
+    check_stride(settings.stride, settings.window)
