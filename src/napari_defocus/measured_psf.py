@@ -168,7 +168,7 @@ class MeasuredPSF:
         corners = corners_to(half * max(scale / self.scales[-1], 1.0))
         corners = np.concatenate([-corners[::-1], corners]) / max(ratio, _SMALLEST_RATIO)
         rows = np.diff(self._sums_up_to(np.clip(corners, -half, half)), axis=0)
-        return rows @ detail @ rows.T
+        return np.einsum("ai,bi->ab", np.einsum("ai,ij->aj", rows, detail), rows)
 
     @cached_property
     def _sums_up_to(self) -> BSpline:

@@ -300,7 +300,7 @@ class GeneralizedGaussian:
         if radii[-1] <= 0.5:
             return np.ones((1, 1))
         areas = _disc_area(corners_to(radii[-1]), radii[:, None, None])
-        return _from_quadrant(np.tensordot(weights / radii**2, areas, 1))
+        return _from_quadrant(np.einsum("k,kij->ij", weights / radii**2, areas))
 
     @cached_property
     def _discs(self) -> tuple[Float64, Float64]:

@@ -246,7 +246,7 @@ def _energy(kernel: Float64, filter_power: Float64) -> Float64:
     """Evaluate sum |h * t_i|^2, (6) or (7), by Parseval's theorem: (..., F)."""
     size = filter_power.shape[-1]
     kernel_power = np.abs(fft2(kernel, (size, size))) ** 2
-    return np.tensordot(filter_power, kernel_power) / size**2
+    return np.einsum("...ij,ij->...", filter_power, kernel_power) / size**2
 
 
 def _best_of_all_strengths(q: Float64, a: Float64) -> Float64:

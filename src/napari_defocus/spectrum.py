@@ -132,7 +132,7 @@ def log_blur_spectra(
     kernels = [psf.kernel(float(scale)) for scale in scales]
     largest = max(len(kernel) for kernel in kernels)
     filters = FilterPower.of_window(window, row_fraction, column_fraction, largest)
-    return np.log([filters.blur_spectra(kernel) for kernel in kernels])
+    return np.log(filters.blur_spectra(kernels))
 
 
 def mixed_spectra(scales: Float64, blur: Float64) -> Float64:
@@ -162,7 +162,7 @@ def mixed_spectra(scales: Float64, blur: Float64) -> Float64:
     share /= share.sum(axis=1, keepdims=True)
     wide = np.maximum(scales / scales[-1], _SHARP_BELOW) / _SHARP_BELOW
     sharp = (_SHARP_SHARE / wide**_SHARP_FALL)[:, None, None]
-    mixed = (1 - sharp) * np.tensordot(share, blur, axes=1) + sharp * blur[0]
+    mixed = (1 - sharp) * np.einsum("ij,jdf->idf", share, blur) + sharp * blur[0]
     return _centered(scales, blur, mixed)
 
 
@@ -175,7 +175,7 @@ def _centered(scales: Float64, blur: Float64, mixed: Float64) -> Float64:
     actual, assumed = (
         (spectra + _WEAK_NOISE).reshape(len(scales), -1) for spectra in (blur, mixed)
     )
-    ratio = actual[::_CENTERS_STEP] @ (1 / assumed).T / assumed.shape[1]
+    ratio = np.einsum("cf,sf->cs", actual[::_CENTERS_STEP], 1 / assumed) / assumed.shape[1]
     expected = -np.log(assumed).mean(axis=1) - np.log(ratio)
     likeliest = scales[expected.argmax(axis=1)]
     pointlike = np.abs(blur / blur[0] - 1).max(axis=(1, 2))[::_CENTERS_STEP] < _POINTLIKE
@@ -191,12 +191,17 @@ class FilterPower:
 
     Attributes
     ----------
-    rows, columns : (2, F, M) float64 ndarray
-        The two factors of each filter's power, for the horizontal and the vertical gradient.
+    rows, columns : (2, n, M) float64 ndarray
+        The two factors of the filters' power, once for each number of cycles a window that they
+        have along the axis, for the horizontal and the vertical gradient.
+    row_of_filter, column_of_filter : (F,) int ndarray
+        Which of them are each filter's.
     """
 
     rows: Float64
     columns: Float64
+    row_of_filter: NDArray[np.intp]
+    column_of_filter: NDArray[np.intp]
 
     @classmethod
     def of_window(
@@ -207,35 +212,37 @@ class FilterPower:
         `largest` is the side of the largest kernel, in px.
         """
         size = next_fast_len(window + largest)
-        row, column = frequencies(window).T
-        rows, columns = (
-            np.stack(
-                [
-                    _axis_power(axis_filters(window, abs(fraction - offset)), cycles, size)
-                    for offset in offsets
-                ]
-            )
-            for fraction, cycles, offsets in (
-                (row_fraction, row, (0.0, 0.5)),
-                (column_fraction, column, (0.5, 0.0)),
-            )
-        )
-        return cls(rows, columns)
+        powers, of_filter = [], []
+        for fraction, cycles, offsets in zip(
+            (row_fraction, column_fraction),
+            frequencies(window).T,
+            ((0.0, 0.5), (0.5, 0.0)),
+            strict=True,
+        ):
+            distinct, number = np.unique(cycles, return_inverse=True)
+            filters = [axis_filters(window, abs(fraction - offset)) for offset in offsets]
+            powers.append(np.stack([_axis_power(one, distinct, size) for one in filters]))
+            of_filter.append(number)
+        return cls(*powers, *of_filter)
 
     def noise_spectra(self) -> Float64:
         """Evaluate (7), sum |grad * t_i|^2, for both gradients: (2, F)."""
         size = self.rows.shape[2]
         difference = 4 * np.sin(np.pi * np.arange(size) / size) ** 2
-        all_ones = np.ones(size)
-        rows = self.rows @ np.stack([all_ones, difference])[:, :, None]
-        columns = self.columns @ np.stack([difference, all_ones])[:, :, None]
-        return (rows * columns)[..., 0] / size**2
+        along = np.stack([np.ones(size), difference])
+        rows = np.einsum("dri,di->dr", self.rows, along)
+        columns = np.einsum("dcj,dj->dc", self.columns, along[::-1])
+        return rows[:, self.row_of_filter] * columns[:, self.column_of_filter] / size**2
 
-    def blur_spectra(self, kernel: Float64) -> Float64:
-        """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (2, F)."""
+    def blur_spectra(self, kernels: list[Float64]) -> Float64:
+        """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (n, 2, F)."""
         size = self.rows.shape[2]
-        kernel_power = np.abs(fft2(kernel, (size, size))) ** 2
-        return np.einsum("dfi,dfi->df", self.rows @ kernel_power, self.columns) / size**2
+        spectra = np.empty((len(kernels), 2, self.rows.shape[1], self.columns.shape[1]))
+        for spectrum, kernel in zip(spectra, kernels, strict=True):
+            power = np.abs(fft2(kernel, (size, size))) ** 2
+            by_row = np.einsum("dri,ij->drj", self.rows, power)
+            spectrum[:] = np.einsum("drj,dcj->drc", by_row, self.columns)
+        return spectra[:, :, self.row_of_filter, self.column_of_filter] / size**2
 
 
 def _axis_power(filters: AxisFilters, cycles: NDArray[np.int64], size: int) -> Float64:
