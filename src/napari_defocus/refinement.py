@@ -15,14 +15,15 @@ least squares.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
-from numba import njit, prange
+import qdldl
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
+from napari_defocus.bands import in_bands
 from napari_defocus.candidates import BlurCandidates
 from napari_defocus.coarser_grids import STEPS, Float32, Labels
 from napari_defocus.progress import Progress, silent
@@ -38,11 +39,15 @@ _LEAST_WEIGHT = 0.02
 _REACH = 14
 _TEMPER = 0.8
 _LEAST_VARIANCE = 0.02**2
+_LEAST_EVIDENCE = 1e-12
+"""Of every window, as a share of the largest weight of the differences."""
+
 _ROUNDS = 3
-_STEPS_A_ROUND = 3
+_LEAST_PLACES = 512
+"""The fewest places that are worth a thread."""
+
 _SAY_OF_DISPLACED = 0.1
 _TILE = 256
-_NEARLY = 0.02
 _OVERLAP, _MARGIN = 128, 32
 """px that tiles see around themselves; what is farther away has hardly any influence. And px on
 both sides of a border over which one tile goes over into the next."""
@@ -181,149 +186,98 @@ def _tile(start: int, own: slice, length: int, overlap: int, margin: int) -> tup
 
 
 def _solve(
-    scale: Float64, curve: Float32, scales: Float64, form: sparse.csr_matrix, independent: Float64
+    scale: Float64, curve: Float32, scales: Float64, form: sparse.csc_matrix, independent: Float64
 ) -> Float64:
     """Minimise by reweighted least squares, from the labels' scales: (P,).
 
-    The first system is factorised, in single precision: half the memory, and the steps towards
-    the solution, which take double precision, need no better. The factors serve the other
-    systems, which differ little, too.
+    `form` is the upper triangle of the matrix of what smoothness costs. QDLDL (Stellato et al.,
+    Math. Prog. Comp. 12, 2020) factorises it without any library of linear algebra, whose bits
+    depend on the processor.
     """
-    precondition = None
+    solver, diagonal = None, form.indptr[1:] - 1
+    # Where smoothness is all, the evidence would be lost beside it in rounding.
+    least = _LEAST_EVIDENCE * form.data.max(initial=0.0)
+    mean, variance = _around(curve, scales, scale)
     for _ in range(_ROUNDS):
-        mean, variance = _around(curve, scales, scale)
-        evidence = independent / (variance + (scale - mean) ** 2)
-        if precondition is None:
-            precondition = _factorized(form + sparse.diags(evidence), evidence * mean)
-            scale = precondition(evidence * mean)
-        scale = _conjugate_gradients(form, evidence, mean, scale, precondition)
+        evidence = independent / (variance + (scale - mean) ** 2) + least
+        system = form.copy()
+        system.data[diagonal] += evidence
+        if solver is None:
+            solver = qdldl.Solver(system, upper=True)
+        else:
+            solver.update(system, upper=True)
+        scale = solver.solve(evidence * mean)
     return scale
 
 
-def _factorized(matrix: sparse.csr_matrix, right: Float64) -> Callable[[Float64], Float64]:
-    """Return what solves a system nearly, this one with `right` to 2 %.
-
-    Where smoothness is all, single precision does not: the evidence is lost beside it.
-    """
-    try:
-        solve = _factors(matrix, np.float32)
-        if np.abs(matrix @ solve(right) - right).max() <= _NEARLY * np.abs(right).max():
-            return solve
-    except RuntimeError:  # it is singular, once rounded
-        pass
-    return _factors(matrix, np.float64)
-
-
-def _factors(matrix: sparse.csr_matrix, dtype: type) -> Callable[[Float64], Float64]:
-    factors = splu(
-        matrix.tocsc().astype(dtype),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    return lambda rest: factors.solve(rest.astype(dtype)).astype(np.float64)
-
-
-def _conjugate_gradients(
-    form: sparse.csr_matrix,
-    evidence: Float64,
-    mean: Float64,
-    scale: Float64,
-    precondition: Callable[[Float64], Float64],
-) -> Float64:
-    """Take some steps from a scale towards that where (form + evidence) scale = evidence mean."""
-    rest = evidence * (mean - scale) - form @ scale
-    direction = np.zeros_like(scale)
-    before = np.inf
-    for _ in range(_STEPS_A_ROUND):
-        better = precondition(rest)
-        after = np.sum(rest * better)
-        if after <= 0:
-            break
-        direction = better + after / before * direction
-        image = form @ direction + evidence * direction
-        length = after / np.sum(direction * image)
-        scale = scale + length * direction
-        rest = rest - length * image
-        before = after
-    return scale
-
-
-@njit(cache=True, parallel=True, nogil=True)
 def _around(curve: Float32, scales: Float64, scale: Float64) -> tuple[Float64, Float64]:
     """Return mean and variance of the tempered likelihood within 1.4 px of a scale: (P,) each."""
+    mean, variance = np.empty(len(scale)), np.empty(len(scale))
+    in_bands(_moments_around, len(scale), curve, scales, scale, mean, variance, least=_LEAST_PLACES)
+    return mean, variance
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _moments_around(
+    start: int,
+    stop: int,
+    curve: Float32,
+    scales: Float64,
+    scale: Float64,
+    mean: Float64,
+    variance: Float64,
+) -> None:
     count = len(scales)
     reach = min(_REACH, (count - 1) // 2)
-    mean, variance = np.empty(len(scale)), np.empty(len(scale))
-    for place in prange(len(scale)):
+    for place in range(start, stop):
         middle = int(np.rint(scale[place] / LABEL_STEP))
         first = min(max(middle - reach, 0), count - 1 - 2 * reach)
-        near = scales[first : first + 2 * reach + 1]
-        height = curve[place, first : first + 2 * reach + 1]
-        likelihood = np.exp(_TEMPER * (height - height.max()))
-        total = likelihood.sum()
-        mean[place] = (likelihood * near).sum() / total
-        spread = (likelihood * (near - mean[place]) ** 2).sum() / total
-        variance[place] = spread + _LEAST_VARIANCE
-    return mean, variance
+        top = curve[place, first]
+        for k in range(first, first + 2 * reach + 1):
+            top = max(top, curve[place, k])
+        center = scales[first + reach]
+        total, moment, square = 0.0, 0.0, 0.0
+        for k in range(first, first + 2 * reach + 1):
+            likelihood = np.exp(_TEMPER * (curve[place, k] - top))
+            away = scales[k] - center
+            total += likelihood
+            moment += likelihood * away
+            square += likelihood * away * away
+        mean[place] = center + moment / total
+        variance[place] = max(square / total - (moment / total) ** 2, 0.0) + _LEAST_VARIANCE
 
 
 def _smoothness_form(
     labels: Labels, weights: Float32, jump: int, spacing: float
-) -> sparse.csr_matrix:
-    """Return the matrix of the quadratic form of first and second differences.
+) -> sparse.csc_matrix:
+    """Return the upper triangle of the quadratic form of first and second differences.
 
     `spacing` is the distance between windows relative to that for which the weights hold.
+    Differences along diagonals were tried, and bumps got worse.
     """
-    columns = labels.shape[1]
-    own, *beside = _stencil(labels, weights, jump, _BEND_WEIGHT / spacing**2)
-    number = np.arange(labels.size)
-    first, second, value = [number], [number], [own.ravel()]
-    for step, coupling in zip((1, 2, columns, 2 * columns), beside, strict=True):
-        coupled = np.flatnonzero(coupling)
-        first += [coupled, coupled + step]
-        second += [coupled + step, coupled]
-        value += [coupling.ravel()[coupled]] * 2
+    own = np.zeros(labels.shape)
+    number = np.arange(labels.size).reshape(labels.shape)
+    first, second, value = [number.ravel()], [number.ravel()], [own.ravel()]
+    for k, (_, right) in enumerate(STEPS[:2]):
+        # All as (lines, places along them), views of the same arrays.
+        along = (lambda array: array) if right else np.transpose
+        alike = np.abs(np.diff(along(labels), axis=1)) < jump
+        slope = np.where(alike, np.maximum(along(weights[k])[:, :-1], _LEAST_WEIGHT), 0.0)
+        bend = _BEND_WEIGHT / spacing**2 * np.minimum(slope[:, :-1], slope[:, 1:])
+        diagonal, numbers = along(own), along(number)
+        diagonal[:, :-1] += _SLOPE_WEIGHT * slope
+        diagonal[:, 1:] += _SLOPE_WEIGHT * slope
+        diagonal[:, :-2] += bend
+        diagonal[:, 1:-1] += 4 * bend
+        diagonal[:, 2:] += bend
+        beside = -_SLOPE_WEIGHT * slope
+        beside[:, :-1] -= 2 * bend
+        beside[:, 1:] -= 2 * bend
+        for coupling, step in ((beside, 1), (bend, 2)):
+            coupled = coupling != 0
+            first.append(numbers[:, : coupling.shape[1]][coupled])
+            second.append(numbers[:, step:][coupled])
+            value.append(coupling[coupled])
     places = np.concatenate(first), np.concatenate(second)
-    return sparse.csr_matrix((np.concatenate(value), places), shape=(labels.size, labels.size))
-
-
-@njit(cache=True, nogil=True)
-def _stencil(labels: Labels, weights: Float32, jump: int, bend_weight: float) -> Float64:
-    """Return the form's entries between a window and itself, and those 1 and 2 steps after it.
-
-    Along rows, then along columns: differences along diagonals were tried, and bumps got worse.
-    """
-    rows, columns = labels.shape
-    entries = np.zeros((5, rows, columns))
-    for i in range(rows):
-        for j in range(columns):
-            for k in range(2):
-                down, right = STEPS[k]
-                slope = _likeness(labels, weights, jump, k, i, j)
-                if slope == 0:
-                    continue
-                y, x = i + down, j + right
-                slope_weight = _SLOPE_WEIGHT * slope
-                entries[0, i, j] += slope_weight
-                entries[0, y, x] += slope_weight
-                entries[1 + 2 * k, i, j] -= slope_weight
-                bend = bend_weight * min(slope, _likeness(labels, weights, jump, k, y, x))
-                if bend == 0:
-                    continue
-                entries[0, i, j] += bend
-                entries[0, y, x] += 4 * bend
-                entries[0, y + down, x + right] += bend
-                entries[1 + 2 * k, i, j] -= 2 * bend
-                entries[1 + 2 * k, y, x] -= 2 * bend
-                entries[2 + 2 * k, i, j] += bend
-    return entries
-
-
-@njit(cache=True, nogil=True)
-def _likeness(labels: Labels, weights: Float32, jump: int, k: int, i: int, j: int) -> float:
-    """Return how much a window and the next one should be alike: not at all across a jump."""
-    y, x = i + STEPS[k][0], j + STEPS[k][1]
-    if y >= labels.shape[0] or x >= labels.shape[1] or abs(labels[i, j] - labels[y, x]) >= jump:
-        return 0.0
-    return max(weights[k, i, j], _LEAST_WEIGHT)
+    form = sparse.coo_matrix((np.concatenate(value), places), shape=(labels.size, labels.size))
+    return form.tocsc()
