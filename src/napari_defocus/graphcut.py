@@ -35,7 +35,7 @@ Places = NDArray[np.int64]
 
 _STEP = "Choosing labels"
 _COARSEST = 2600
-_COARSE_STEP = 4
+_COARSE_STEP = 2
 _EVERYWHERE = 8
 _LEAST_GAIN = 1e-6
 _NEVER = 1e12
@@ -148,7 +148,7 @@ def minimize_energy_from(
 
 
 def _coarse_start(data: Float32, weights: Float32) -> Labels:
-    """Find the labels of least energy among every fourth: they decide about whole regions."""
+    """Find the labels of least energy among every second one: they decide about whole regions."""
     every = np.ascontiguousarray(data[..., ::_COARSE_STEP])
     return _COARSE_STEP * solve_exactly(every, weights * np.float32(_COARSE_STEP))
 
