@@ -15,7 +15,11 @@ def test_kernels_pass_their_tests_as_plain_python():
     # And only the files that have such tests: importing the others takes seconds, too.
     files = [path for path in TESTS.glob("test_*.py") if "mark.kernel" in path.read_text("utf-8")]
     command += ["-p", "pytest_timeout", *files]
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    environment = os.environ | {
+        "NUMBA_DISABLE_JIT": "1",
+        "NUMBA_NUM_THREADS": "1",  # calls in other threads are not watched
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+    }
     done = subprocess.run(
         command, cwd=TESTS.parent, env=environment, capture_output=True, text=True, timeout=120
     )

@@ -22,12 +22,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.bands import in_bands
 from napari_defocus.gabor import frequencies, gradients, local_power, window_centers
 from napari_defocus.image import PreparedImage
-from napari_defocus.likelihood import FAST_BUT_NAN
 from napari_defocus.psf import PSFFamily
 from napari_defocus.spectrum import spectrum_table
 
@@ -90,8 +90,8 @@ class RingBank:
         table = spectrum_table(psf, window, rows[0] % 1, columns[0] % 1, "exact", mixed=True)
         radius = np.rint(np.hypot(*frequencies(window).T) / _RING_WIDTH)
         members = (radius[:, None] == np.unique(radius)).astype(np.float32)
-        noise = table.noise.sum(axis=0) @ members
-        blur = table.value.sum(axis=1) @ members / noise
+        noise = np.einsum("f,fb->b", table.noise.sum(axis=0), members)
+        blur = np.einsum("mf,fb->mb", table.value.sum(axis=1), members) / noise
         return cls(rows, columns, window, members, table.scales, blur, noise)
 
     def power(self, picture: PreparedImage) -> Float32:
@@ -107,7 +107,7 @@ class RingBank:
         for top in range(0, len(self.rows), _ROWS_AT_ONCE):
             block = slice(top, top + _ROWS_AT_ONCE)
             power = local_power(gradient, self.rows[block] + pad, self.columns + pad, self.window)
-            found[block] = power.sum(axis=2) @ self.members / self.noise
+            found[block] = np.einsum("rcf,fb->rcb", power.sum(axis=2), self.members) / self.noise
         return found
 
 
@@ -209,44 +209,48 @@ class Sweep:
         return _deviances(power, blur.astype(np.float32), members)
 
 
-@njit(cache=True, parallel=True, fastmath=FAST_BUT_NAN, nogil=True)
 def _deviances(power: Float32, blur: Float32, members: Float32) -> tuple[Float32, Float32]:
     """Return the deviance for every position, (P, L), and the dispersion of every window, (P,).
 
     `blur`, (L, B, Z), is what a power of 1 would show, in units of noise, if a place were in
     focus at each position. Every ring's own power is found by least squares, then by scoring.
     """
-    windows, rings, planes = power.shape
-    positions, one, zero = blur.shape[0], np.float32(1), np.float32(0)
-    deviance = np.empty((windows, positions), np.float32)
-    dispersion = np.empty(windows, np.float32)
-    degrees = planes * members.sum()
-    for window in prange(windows):
-        seen = power[window]
-        for position in range(positions):
+    deviance = np.empty((len(power), len(blur)), np.float32)
+    in_bands(_deviances_of, len(power), power, blur, members, deviance)
+    degrees = np.float32(power.shape[2]) * members.sum()
+    dispersion = np.maximum(np.float32(2) * deviance.min(axis=1) / degrees, _LEAST_DISPERSION)
+    return deviance, dispersion.astype(np.float32)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _deviances_of(
+    start: int, stop: int, power: Float32, blur: Float32, members: Float32, deviance: Float32
+) -> None:
+    _, rings, planes = power.shape
+    one, zero = np.float32(1), np.float32(0)
+    for window in range(start, stop):
+        for position in range(blur.shape[0]):
             total = zero
             for ring in range(rings):
-                strength = _strength(seen[ring], blur[position, ring])
+                strength = _strength(power, blur, window, position, ring)
                 for plane in range(planes):
                     expected = one + strength * blur[position, ring, plane]
-                    ratio = max(seen[ring, plane], _LEAST_POWER) / expected
+                    ratio = max(power[window, ring, plane], _LEAST_POWER) / expected
                     total += members[ring] * min(ratio - one - np.log(ratio), _MOST_DEVIANCE)
             deviance[window, position] = total
-        least = deviance[window].min()
-        dispersion[window] = max(np.float32(2) * least / degrees, _LEAST_DISPERSION)
-    return deviance, dispersion
 
 
-@njit(cache=True, fastmath=FAST_BUT_NAN, nogil=True, inline="always")
-def _strength(seen: Float32, blur: Float32) -> np.float32:
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _strength(power: Float32, blur: Float32, window: int, position: int, ring: int) -> np.float32:
     """Find the power that planes have in common: least squares, then Fisher scoring."""
     one, zero, strength = np.float32(1), np.float32(0), np.float32(0)
     for scoring in range(_SCORING_ROUNDS + 1):
         product, square = zero, _TINY
-        for plane in range(len(seen)):
-            expected = one + strength * blur[plane] if scoring else one
-            weight = blur[plane] / (expected * expected)
-            product += weight * (seen[plane] - one)
-            square += weight * blur[plane]
+        for plane in range(power.shape[2]):
+            shown = blur[position, ring, plane]
+            expected = one + strength * shown if scoring else one
+            weight = shown / (expected * expected)
+            product += weight * (power[window, ring, plane] - one)
+            square += weight * shown
         strength = max(product / square, zero)
     return strength

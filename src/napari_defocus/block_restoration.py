@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.block_graph import PartGraph, pixels, placed
-from napari_defocus.block_tasks import Noise, task
+from napari_defocus.block_tasks import Noise
 from napari_defocus.blocks import computed, noise_of_plane
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.lazy_planes import Index, LazyPlanes
@@ -40,7 +40,6 @@ class PartRestoration:
         return prepare_image(pixels, self.intensity_range, self.linearize)
 
 
-@task
 def restore_part(
     pixels: NDArray[Any],
     blur_map: NDArray[Any],

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,35 +30,6 @@ from napari_defocus.settings import Linearize, MaskSettings, Mode, Spectra
 Float32 = NDArray[np.float32]
 Problem = tuple[Float32, Float32]
 Found = dict[str, NDArray[Any]]
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
-
-_kernels = threading.Lock()
-
-
-@contextmanager
-def _kernels_in_turn() -> Iterator[None]:
-    """Let one thread at a time work if numba's threads cannot be shared by several."""
-    try:
-        shared = numba.threading_layer() != "workqueue"
-    except ValueError:  # no kernel has run yet
-        shared = False
-    if shared:
-        yield
-    else:
-        with _kernels:
-            yield
-
-
-def task(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Make a function safe in threads of one process."""
-
-    @wraps(function)
-    def run(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
-        with _kernels_in_turn():
-            return function(*arguments, **keywords)
-
-    return run
 
 
 @dataclass(frozen=True)
@@ -214,7 +181,6 @@ class Wanted:
         return found
 
 
-@task
 def look_at_noise(
     pixels: NDArray[Any], prepared: Callable[[NDArray[Any]], PreparedImage], every: int
 ) -> NoiseSample:
@@ -222,13 +188,11 @@ def look_at_noise(
     return NoiseSample.of(prepared(pixels), every)
 
 
-@task
 def noise_with_variance(pixels: NDArray[Any], how: Estimation, noise: Noise) -> Noise:
     """Return the noise of a plane that is one part, with its variance."""
     return Noise(noise.given, noise.of(how.prepared(pixels))[0])
 
 
-@task
 def survey_part(
     pixels: NDArray[Any],
     seeds: NDArray[Any] | None,
@@ -258,7 +222,6 @@ def join_cells(surveys: list[dict[str, Problem]], axis: int) -> dict[str, Proble
     }
 
 
-@task
 def label_cells(rows: list[dict[str, Problem]]) -> dict[str, NDArray[np.int32]]:
     """Label the cells of a whole plane, for the map and for the mask."""
     return {
@@ -271,7 +234,6 @@ def _minimized(data: Float32, weights: Float32) -> NDArray[np.int32]:
     return minimize_energy(data, weights, finest=False)
 
 
-@task
 def measure_part(
     pixels: NDArray[Any],
     seeds: NDArray[Any] | None,
@@ -296,7 +258,6 @@ def measure_part(
     }
 
 
-@task
 def judge_part(
     pixels: NDArray[Any],
     blur_map: NDArray[Any],
@@ -310,7 +271,6 @@ def judge_part(
     return {"confidence": sure[part.own()].copy(), "cautious": safe[part.own()].copy()}
 
 
-@task
 def windows_of_part(
     pixels: NDArray[Any], part: Part, noise: Noise, how: Estimation, name: str
 ) -> Float32:

@@ -11,9 +11,10 @@ picture on all sides.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.bands import in_bands
 from napari_defocus.image import given_array
 from napari_defocus.psf import PSFFamily
 
@@ -26,6 +27,9 @@ _STEPS_BETWEEN = 4
 
 _LANES = 12
 """Weights that are worked on at once: of 12 pixels in a row, or of 4 with three channels."""
+
+_LEAST_BAND = 16
+"""Rows that one thread spreads at a time, or as many as a kernel has if that is more."""
 
 
 class BlurOperator:
@@ -74,14 +78,22 @@ class BlurOperator:
     def apply(self, picture: Float32) -> Float32:
         """Return A f, (H, W, C), of f on the domain."""
         blurred = np.empty((*self.shape, self._channels), np.float32)
-        _gather(_rows(picture), self._kernel, self._blocks, self._frames, _rows(blurred))
+        kernels = self._kernel, self._blocks, self._frames
+        in_bands(_gather, self.shape[0], _rows(picture), *kernels, _rows(blurred))
         return blurred
 
     def adjoint(self, picture: Float32) -> Float32:
         """Return A' y on the domain, of y, (H, W, C)."""
         spread = np.zeros((*self.domain, self._channels), np.float32)
-        rows = _rows(np.ascontiguousarray(picture))
-        _spread(rows, self._kernel, self._blocks, self._frames, _rows(spread))
+        arguments = (
+            _rows(np.ascontiguousarray(picture)), self._kernel, self._blocks, self._frames,
+            _rows(spread),
+        )  # fmt: skip
+        # Bands of rows that write to no common row, every second one, at once.
+        height = max(self._blocks.shape[2], _LEAST_BAND)
+        bands = -(-self.shape[0] // height)
+        for parity in range(2):
+            in_bands(_spread, (bands + 1 - parity) // 2, parity, height, *arguments)
         return spread
 
 
@@ -95,7 +107,7 @@ def half_variance_slope(psf: PSFFamily, blur_map: Float32) -> Float32:
     side = kernels.shape[1]
     offset = np.arange(side) - side // 2
     square = (offset**2 + offset[:, None] ** 2) / 2
-    variance = np.tensordot(kernels, square, 2)
+    variance = np.sum(kernels * square, axis=(1, 2))
     slope = np.maximum(np.gradient(variance, _KERNEL_STEP), 0) / 2
     position = blur_map / _KERNEL_STEP - first
     return np.interp(position, np.arange(len(slope)), slope).astype(np.float32)
@@ -171,15 +183,21 @@ def _in_blocks(kernels: Float64, taps: int, width: int, channels: int) -> tuple[
     return blocks, frames
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _gather(
-    domain: Float32, kernel: Int32, blocks: Float32, frames: Int32, blurred: Float32
+    start: int,
+    stop: int,
+    domain: Float32,
+    kernel: Int32,
+    blocks: Float32,
+    frames: Int32,
+    blurred: Float32,
 ) -> None:
-    height, width = kernel.shape
+    width = kernel.shape[1]
     channels = blurred.shape[1] // width
     taps = _LANES // channels
-    for row in prange(height):
-        total = np.empty(_LANES, np.float32)
+    total = np.empty(_LANES, np.float32)
+    for row in range(start, stop):
         for column in range(width):
             index = kernel[row, column]
             top, bottom, left, used = frames[index]
@@ -205,32 +223,34 @@ def _gather(
                 blurred[row, column * channels + channel] = value
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _spread(
-    picture: Float32, kernel: Int32, blocks: Float32, frames: Int32, domain: Float32
+    start: int,
+    stop: int,
+    parity: int,
+    thick: int,
+    picture: Float32,
+    kernel: Int32,
+    blocks: Float32,
+    frames: Int32,
+    domain: Float32,
 ) -> None:
     height, width = kernel.shape
     channels = picture.shape[1] // width
     taps = _LANES // channels
-    # Bands of rows that write to no common row: every second one.
-    thick = max(blocks.shape[2], 16)
-    bands = (height + thick - 1) // thick
-    for parity in range(2):
-        for pair in prange((bands + 1 - parity) // 2):
-            start = (2 * pair + parity) * thick
-            value = np.empty(_LANES, np.float32)
-            for row in range(start, min(start + thick, height)):
-                for column in range(width):
-                    index = kernel[row, column]
-                    top, bottom, left, used = frames[index]
-                    for tap in range(taps):
-                        for channel in range(channels):
-                            value[tap * channels + channel] = picture[
-                                row, column * channels + channel
-                            ]
-                    for block in range(used):
-                        weight = blocks[index, block]
-                        at = (column + left + block * taps) * channels
-                        for i in range(top, bottom):
-                            for lane in range(_LANES):
-                                domain[row + i, at + lane] += weight[i, lane] * value[lane]
+    value = np.empty(_LANES, np.float32)
+    for pair in range(start, stop):
+        first = (2 * pair + parity) * thick
+        for row in range(first, min(first + thick, height)):
+            for column in range(width):
+                index = kernel[row, column]
+                top, bottom, left, used = frames[index]
+                for tap in range(taps):
+                    for channel in range(channels):
+                        value[tap * channels + channel] = picture[row, column * channels + channel]
+                for block in range(used):
+                    weight = blocks[index, block]
+                    at = (column + left + block * taps) * channels
+                    for i in range(top, bottom):
+                        for lane in range(_LANES):
+                            domain[row + i, at + lane] += weight[i, lane] * value[lane]

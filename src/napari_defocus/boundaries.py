@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_dilation,
@@ -22,6 +22,7 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
+from napari_defocus.bands import in_bands
 from napari_defocus.coarser_grids import STEPS, join_blocks
 from napari_defocus.graphcut import Mask, Places, fuse
 from napari_defocus.progress import Progress, silent
@@ -122,17 +123,20 @@ def _block_weights(
                 here, there = row_block[i], row_block[i + down]
                 left, beside = column_block[j], column_block[j + right]
                 if here != there or left != beside:
-                    weight = _color_weight(color[i, j], color[i + down, j + right], sharpness)
+                    weight = _color_weight(color, i, j, i + down, j + right, sharpness)
                     join_blocks(joined, here, left, there, beside, weight)
     return joined
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _color_weight(here: Float32, there: Float32, sharpness: float) -> float:
-    """Return (16) without lambda_0."""
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _color_weight(
+    color: Float32, row: int, column: int, row_to: int, column_to: int, sharpness: np.float32
+) -> np.float32:
+    """Return (16), without lambda_0, between two pixels."""
     distance = np.float32(0)
-    for channel in range(here.shape[0]):
-        distance += (here[channel] - there[channel]) ** 2
+    for channel in range(color.shape[2]):
+        step = color[row, column, channel] - color[row_to, column_to, channel]
+        distance += step * step
     return np.exp(-distance * sharpness)
 
 
@@ -227,25 +231,26 @@ def pixel_weights(color: Float32, near: Mask, color_sigma: float, smoothness: fl
     (4, H, W) float32 ndarray
         Between a pixel and its neighbour at each of `STEPS`, else 0.
     """
-    weights = _pixel_weights(color, near, np.float32(0.5 / color_sigma**2))
+    weights = np.zeros((4, *color.shape[:2]), np.float32)
+    in_bands(_weigh_rows, len(color), color, near, np.float32(0.5 / color_sigma**2), weights)
     weights *= np.float32(smoothness)
     return weights
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _pixel_weights(color: Float32, near: Mask, sharpness: float) -> Float32:
-    """Return the weights of `pixel_weights` without lambda_0."""
+@njit(cache=True, error_model="numpy", nogil=True)
+def _weigh_rows(
+    start: int, stop: int, color: Float32, near: Mask, sharpness: np.float32, weights: Float32
+) -> None:
+    """Write the weights of `pixel_weights`, without lambda_0, of some rows of pixels."""
     rows, columns, _ = color.shape
-    weights = np.zeros((4, rows, columns), np.float32)
-    for i in prange(rows):
+    for i in range(start, stop):
         for k, (down, right) in enumerate(STEPS):
             y = i + down
             if y >= rows:
                 continue
             for j in range(max(0, -right), columns - max(0, right)):
                 if near[i, j] or near[y, j + right]:
-                    weights[k, i, j] = _color_weight(color[i, j], color[y, j + right], sharpness)
-    return weights
+                    weights[k, i, j] = _color_weight(color, i, j, y, j + right, sharpness)
 
 
 @njit(cache=True, nogil=True)
@@ -279,35 +284,39 @@ def energy_of_pixels(
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
     sharpness = np.float32(0.5 / color_sigma**2)
-    evidence, jumps = _energy_of_rows(pixels, cost, color, *blocks.positions, sharpness)
+    evidence, jumps = np.zeros((2, len(pixels)))
+    places = blocks.positions
+    in_bands(_energy_of_rows, len(pixels), pixels, cost, color, *places, sharpness, evidence, jumps)
     return float(evidence.sum() + smoothness * jumps.sum())
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _energy_of_rows(
+    start: int,
+    stop: int,
     pixels: Labels,
     cost: Float32,
     color: Float32,
     row_position: Float64,
     column_position: Float64,
-    sharpness: float,
-) -> tuple[Float64, Float64]:
-    """Return the sums of D and of weighted differences of labels that each row begins."""
+    sharpness: np.float32,
+    evidence: Float64,
+    jumps: Float64,
+) -> None:
+    """Add up D, and the weighted differences of labels, that each row begins."""
     rows, columns = pixels.shape
-    evidence, jumps = np.zeros(rows), np.zeros(rows)
-    for i in prange(rows):
+    for i in range(start, stop):
         for j in range(columns):
             label = pixels[i, j]
             evidence[i] += _interpolated(cost, label, row_position[i], column_position[j])
             for down, right in STEPS:
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns and pixels[y, x] != label:
-                    weight = _color_weight(color[i, j], color[y, x], sharpness)
+                    weight = _color_weight(color, i, j, y, x, sharpness)
                     jumps[i] += weight * abs(pixels[y, x] - label)
-    return evidence, jumps
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def _interpolated(cost: Float32, label: int, y: float, x: float) -> float:
     """Return D of a label between the windows."""
     top, left = int(y), int(x)
@@ -341,20 +350,25 @@ def interpolate_labels(
         In px.
     """
     scales = np.asarray(scales, np.float64)
-    return _interpolated_alike(scales, labels, pixels, *blocks.positions, jump)
+    result = np.float32(LABEL_STEP) * pixels.astype(np.float32)
+    places = blocks.positions
+    in_bands(_interpolate_rows, len(pixels), scales, labels, pixels, *places, jump, result)
+    return result
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _interpolated_alike(
+@njit(cache=True, error_model="numpy", nogil=True)
+def _interpolate_rows(
+    start: int,
+    stop: int,
     scales: Float64,
     labels: Labels,
     pixels: Labels,
     row_position: Float64,
     column_position: Float64,
     jump: int,
-) -> Float32:
-    result = np.float32(LABEL_STEP) * pixels.astype(np.float32)
-    for row in prange(pixels.shape[0]):
+    result: Float32,
+) -> None:
+    for row in range(start, stop):
         y = row_position[row]
         top = int(y)
         for column in range(pixels.shape[1]):
@@ -369,4 +383,3 @@ def _interpolated_alike(
                         weight += share
             if weight > 1e-6:
                 result[row, column] = total / weight
-    return result

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from napari_defocus.bands import in_bands
 
 Float32 = NDArray[np.float32]
 Labels = NDArray[np.int32]
@@ -44,24 +46,26 @@ def finer(labels: Labels, rows: int, columns: int) -> Labels:
     return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
 
 
-@njit(cache=True, parallel=True, nogil=True)
 def _relaxed(data: Float32, weights: Float32) -> Float32:
     """Let each node leave the common label at the price of its own edges.
 
     Returns min_m D(m) + w |l - m|: joined nodes need not agree on one label, as they cannot
     where the blur is steep.
     """
-    rows, columns, count = data.shape
     relaxed = data.copy()
-    for i in prange(rows):
-        for j in range(columns):
-            price = _RELAXATION * weights[:, i, j].sum()
-            cost = relaxed[i, j]
-            for label in range(1, count):
-                cost[label] = min(cost[label], cost[label - 1] + price)
-            for label in range(count - 2, -1, -1):
-                cost[label] = min(cost[label], cost[label + 1] + price)
+    in_bands(_relax_rows, len(data), _RELAXATION * weights.sum(axis=0), relaxed)
     return relaxed
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _relax_rows(start: int, stop: int, price: Float32, cost: Float32) -> None:
+    _, columns, count = cost.shape
+    for i in range(start, stop):
+        for j in range(columns):
+            for label in range(1, count):
+                cost[i, j, label] = min(cost[i, j, label], cost[i, j, label - 1] + price[i, j])
+            for label in range(count - 2, -1, -1):
+                cost[i, j, label] = min(cost[i, j, label], cost[i, j, label + 1] + price[i, j])
 
 
 @njit(cache=True, nogil=True)

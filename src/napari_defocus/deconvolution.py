@@ -23,10 +23,11 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, minimum_filter
 
+from napari_defocus.bands import in_bands
 from napari_defocus.blur_operator import BlurOperator, half_variance_slope
 from napari_defocus.image import PreparedImage, decode_srgb
 from napari_defocus.progress import Progress
@@ -101,7 +102,8 @@ class Deconvolution:
             before = sharp.copy()
             for step in self._descend(sharp, rounding):
                 progress("Taking the blur away", min((start + step) / whole, 1.0))
-            settled = np.linalg.norm(sharp - before) < _TOLERANCE * np.linalg.norm(sharp)
+            change = sharp - before
+            settled = _inner(change, change) < _TOLERANCE**2 * _inner(sharp, sharp)
             if rounding <= _ROUNDING and settled:
                 break
             rounding = max(rounding / 2, _ROUNDING)
@@ -144,19 +146,19 @@ class Deconvolution:
         residual -= _smoothness_form(stiffness, sharp)
         conditioned = self._inverse(residual)
         direction = conditioned.copy()
-        power = np.vdot(residual, conditioned)
+        power = _inner(residual, conditioned)
         for step in range(_STEPS_A_ROUND):
             yield step
             form = self._blur.adjoint(weight * self._blur.apply(direction))
             form += _smoothness_form(stiffness, direction)
-            curvature = np.vdot(direction, form)
+            curvature = _inner(direction, form)
             if not (power > 0 and curvature > 0):
                 return
             length = power / curvature
             sharp += length * direction
             residual -= length * form
             conditioned = self._inverse(residual)
-            power, last = np.vdot(residual, conditioned), power
+            power, last = _inner(residual, conditioned), power
             direction *= power / last
             direction += conditioned
 
@@ -185,18 +187,35 @@ class Deconvolution:
         return scales, self._blur.extend(picture + anew * (self._color - picture))
 
 
+def _inner(a: Float32, b: Float32) -> float:
+    """Return the sum of products, in one order: `numpy.vdot` has one for each processor."""
+    return float(np.sum(a * b, dtype=np.float64))
+
+
 def _laplacian(color: Float32) -> Float32:
     padded = np.pad(color, ((1, 1), (1, 1), (0, 0)), mode="symmetric")
     around = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
     return around - 4 * color
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)
-def _stiffness(picture: Float32, tv_weight: float, rounding: float) -> Float32:
+def _stiffness(picture: Float32, tv_weight: np.float32, rounding: np.float32) -> Float32:
     """Return lambda / (2 sqrt(|grad f|^2 + eps^2)): (H, W)."""
+    stiffness = np.empty(picture.shape[:2], np.float32)
+    in_bands(_stiffen_rows, len(picture), picture, tv_weight, rounding, stiffness)
+    return stiffness
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stiffen_rows(
+    start: int,
+    stop: int,
+    picture: Float32,
+    tv_weight: np.float32,
+    rounding: np.float32,
+    stiffness: Float32,
+) -> None:
     height, width, channels = picture.shape
-    stiffness = np.empty((height, width), np.float32)
-    for row in prange(height):
+    for row in range(start, stop):
         for column in range(width):
             square = rounding * rounding
             for channel in range(channels):
@@ -206,16 +225,22 @@ def _stiffness(picture: Float32, tv_weight: float, rounding: float) -> Float32:
                 if column + 1 < width:
                     step = picture[row, column + 1, channel] - picture[row, column, channel]
                     square += step * step
-            stiffness[row, column] = tv_weight / 2 / np.sqrt(square)
-    return stiffness
+            stiffness[row, column] = np.float32(0.5) * tv_weight / np.sqrt(square)
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)
 def _smoothness_form(stiffness: Float32, picture: Float32) -> Float32:
     """Return grad' (c grad f), with c for the differences to the next row and column."""
-    height, width, channels = picture.shape
     form = np.empty_like(picture)
-    for row in prange(height):
+    in_bands(_smooth_rows, len(picture), stiffness, picture, form)
+    return form
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _smooth_rows(
+    start: int, stop: int, stiffness: Float32, picture: Float32, form: Float32
+) -> None:
+    height, width, channels = picture.shape
+    for row in range(start, stop):
         for column in range(width):
             own = stiffness[row, column]
             up = stiffness[row - 1, column] if row > 0 else np.float32(0)
@@ -230,4 +255,3 @@ def _smoothness_form(stiffness: Float32, picture: Float32) -> Float32:
                     + up * (value - picture[above, column, channel])
                     + left * (value - picture[row, before, channel])
                 )
-    return form

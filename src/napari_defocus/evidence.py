@@ -18,10 +18,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from napari_defocus.bands import in_bands
 from napari_defocus.candidates import BlurCandidates
 from napari_defocus.image import PreparedImage
 
@@ -124,16 +125,24 @@ def limited_depth(candidates: BlurCandidates) -> Float32:
     return _limited(candidates.curve, weight.astype(np.float32), _DEPTH)
 
 
-@njit(cache=True, parallel=True, nogil=True)
 def _limited(curve: Float32, weight: Float32, depth: np.float32) -> Float32:
     limited = np.empty_like(curve)
-    for row in prange(curve.shape[0]):
+    in_bands(_limit_rows, len(curve), curve, weight, depth, limited)
+    return limited
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _limit_rows(
+    start: int, stop: int, curve: Float32, weight: Float32, depth: np.float32, limited: Float32
+) -> None:
+    for row in range(start, stop):
         for column in range(curve.shape[1]):
-            top = curve[row, column].max()
+            top = curve[row, column, 0]
+            for scale in range(1, curve.shape[2]):
+                top = max(top, curve[row, column, scale])
             for scale in range(curve.shape[2]):
                 below = min(top - curve[row, column, scale], depth)
                 limited[row, column, scale] = weight[row, column] * below
-    return limited
 
 
 def evidence_share(candidates: BlurCandidates) -> Float32:

@@ -2,7 +2,7 @@
 
 A Gabor filter is separable, so a window's spectrum is the product of row filters and column
 filters. Spectra of +a1 and -a1 come from the same four real sums (cos cos, sin sin, sin cos,
-cos sin), and only the sampled rows and columns are computed: both passes are matrix products.
+cos sin), and only the sampled rows and columns are computed.
 
 Gradients live half-way between pixels. Windows are therefore centred on the pixel (or, for an
 even stride, on the block of pixels) that they speak for, and the taps of each axis are taken
@@ -12,16 +12,21 @@ where its samples lie; a flipped picture has exactly the flipped spectra.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numba import njit
 from numpy.typing import NDArray
+
+from napari_defocus.bands import in_bands
 
 Float32 = NDArray[np.float32]
 
 MIN_WINDOW = 17
 """The smallest window with frequencies in every direction."""
+
+_TILE = 256
+"""Samples that are filtered at once: their sums stay in the processor's nearest cache."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,19 @@ class AxisFilters:
     def order(self) -> int:
         """K, the number of frequencies above zero."""
         return self.taps.shape[1] // 2
+
+    @cached_property
+    def folded(self) -> Float32:
+        """The first half of the taps, an even number of them, (L', 2 K + 1): see `_filter_some`.
+
+        A tap at the centre is halved, since its sample is added to itself.
+        """
+        half = -(-len(self.taps) // 2)
+        folded = np.zeros((half + half % 2, self.taps.shape[1]), np.float32)
+        folded[:half] = self.taps[:half]
+        if len(self.taps) % 2:
+            folded[half - 1] /= 2
+        return folded
 
 
 @lru_cache(maxsize=16)
@@ -172,15 +190,70 @@ def _separable_sums(
     row_filters: AxisFilters,
     column_filters: AxisFilters,
 ) -> Float32:
-    """Filter along columns, then along rows: (R, 2 K + 1, C, 2 K + 1)."""
-    top = first_row[0]
-    bottom = first_row[-1] + len(row_filters.taps)
-    strips = sliding_window_view(samples[top:bottom], len(column_filters.taps), axis=1)
-    filtered = strips[:, first_column].transpose(1, 0, 2) @ column_filters.taps
-    lines = np.ascontiguousarray(filtered.transpose(1, 0, 2)).reshape(bottom - top, -1)
-    length = len(row_filters.taps)
-    sums = [row_filters.taps.T @ lines[row : row + length] for row in first_row - top]
-    return np.reshape(sums, (len(first_row), -1, len(first_column), column_filters.taps.shape[1]))
+    """Filter along columns, then along rows: (R, 2 K + 1, C, 2 K + 1).
+
+    Every sum is taken in the same order whatever the size of the arrays, so that a part of a
+    picture has the bits of the whole. No matrix product of a library promises that.
+    """
+    top, bottom = first_row[0], first_row[-1] + len(row_filters.taps)
+    left, right = first_column[0], first_column[-1] + len(column_filters.taps)
+    columns = np.ascontiguousarray(samples[top:bottom, left:right].T)
+    lines = _filtered(columns, first_column - left, column_filters)  # (C, 2 K + 1, rows)
+    lines = np.ascontiguousarray(lines.reshape(-1, bottom - top).T)
+    sums = _filtered(lines, first_row - top, row_filters)  # (R, 2 K + 1, C * (2 K + 1))
+    return sums.reshape(*sums.shape[:2], len(first_column), -1)
+
+
+def _filtered(samples: Float32, first: NDArray[np.int64], filters: AxisFilters) -> Float32:
+    """Filter along the first axis: (n, W) to (len(first), 2 K + 1, W)."""
+    length, count = filters.taps.shape
+    result = np.empty((len(first), count, samples.shape[1]), np.float32)
+    in_bands(_filter_some, len(first), samples, first, filters.folded, length, result)
+    return result
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _filter_some(
+    start: int,
+    stop: int,
+    samples: Float32,
+    first: NDArray[np.int64],
+    folded: Float32,
+    length: int,
+    result: Float32,
+) -> None:
+    """Add up the products of samples and taps, two pairs of samples at a time.
+
+    Cosines are even about the window's centre and sines odd: the samples at equal distances from
+    it are added for the former and subtracted for the latter, before they are multiplied.
+    """
+    half, count = folded.shape
+    cosines = count // 2 + 1
+    sums = np.empty((count, _TILE), np.float32)
+    even, odd = np.zeros((2, _TILE), np.float32), np.zeros((2, _TILE), np.float32)
+    for window in range(start, stop):
+        for left in range(0, samples.shape[1], _TILE):
+            width = min(_TILE, samples.shape[1] - left)
+            sums[:] = 0
+            for pair in range(0, half, 2):
+                for member in range(2):
+                    # The last pair may be the centre, twice, with half its weight; or have none.
+                    low = first[window] + min(pair + member, (length - 1) // 2)
+                    high = first[window] + max(length - 1 - pair - member, length // 2)
+                    before = samples[low, left : left + width]
+                    after = samples[high, left : left + width]
+                    for x in range(width):
+                        even[member, x] = before[x] + after[x]
+                        odd[member, x] = before[x] - after[x]
+                for k in range(cosines):
+                    weight, next_weight = folded[pair, k], folded[pair + 1, k]
+                    for x in range(_TILE):
+                        sums[k, x] += weight * even[0, x] + next_weight * even[1, x]
+                for k in range(cosines, count):
+                    weight, next_weight = folded[pair, k], folded[pair + 1, k]
+                    for x in range(_TILE):
+                        sums[k, x] += weight * odd[0, x] + next_weight * odd[1, x]
+            result[window, :, left : left + width] = sums[:, :width]
 
 
 def _power_of_sums(sums: Float32, power: Float32) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
-from napari_defocus.likelihood import FAST_BUT_NAN, first_log_strength, noise_power
+from napari_defocus.bands import in_bands
+from napari_defocus.likelihood import FIRST_ROUNDS, LARGEST_LOG, SMALLEST, noise_power
 from napari_defocus.spectrum import LABEL_STEP, SpectrumTable
 
 Float32 = NDArray[np.float32]
@@ -19,6 +20,9 @@ CANDIDATES = 3
 
 _INDISTINCT = 1e-6
 _FLAT = 1e-3
+
+_LEAST_WINDOWS = 256
+"""The fewest windows that are worth a thread."""
 
 _PADDED = 16
 _NEWTON_ROUNDS = 8
@@ -62,12 +66,21 @@ def local_maxima(
     return np.take_along_axis(radii, order, 1), np.take_along_axis(heights, order, 1)
 
 
-@njit(cache=True, parallel=True, nogil=True)
 def _pick_maxima(curve: Float32, scales: Float32, first: int) -> Float32:
-    points, length = curve.shape
-    picked = np.full((points, CANDIDATES), np.nan, np.float32)
-    for point in prange(points):
-        height = np.full(CANDIDATES, -np.inf, np.float32)
+    """Return the scales of the best three local maxima from index `first` on, else NaN: (P, 3)."""
+    picked = np.full((len(curve), CANDIDATES), np.nan, np.float32)
+    in_bands(_pick_some, len(curve), curve, scales, first, picked, least=_LEAST_WINDOWS)
+    return picked
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _pick_some(
+    start: int, stop: int, curve: Float32, scales: Float32, first: int, picked: Float32
+) -> None:
+    length = curve.shape[1]
+    height = np.empty(CANDIDATES, np.float32)
+    for point in range(start, stop):
+        height[:] = -np.inf
         c = curve[point]
         for k in range(first, length):
             rises = k == first or c[k] > c[k - 1]
@@ -81,7 +94,6 @@ def _pick_maxima(curve: Float32, scales: Float32, first: int) -> Float32:
                 place -= 1
             height[place] = c[k]
             picked[point, place] = scales[k]
-    return picked
 
 
 def refine_maxima(
@@ -112,10 +124,20 @@ def refine_maxima(
     """
     noise = noise_power(table, noise_variance)
     relative = _padded(power * (1 / noise).astype(np.float32), 1.0)
-    scales, heights = _refine(
-        relative, *_refinement_tables(table), start, reach, table.step, 1 / dispersion
+    scales, heights = start.copy(), np.full(start.shape, -np.inf, np.float32)
+    in_bands(
+        _refine,
+        len(start),
+        relative,
+        *_refinement_tables(table),
+        reach,
+        table.step,
+        1 / dispersion,
+        scales,
+        heights,
+        least=_LEAST_WINDOWS,
     )
-    padding = relative.shape[2] - noise.shape[1]
+    padding = -noise.shape[1] % _PADDED
     constant = ((np.log(noise).sum(axis=1) - padding) / dispersion).sum(axis=1)
     return scales, heights - constant[:, None].astype(np.float32)
 
@@ -130,52 +152,59 @@ def _refinement_tables(table: SpectrumTable) -> tuple[Float32, Float32]:
 
 
 def _padded(values: NDArray[np.floating], filling: float) -> Float32:
-    """Fill the last axis up to whole vector registers; a_i = 0, q_i = 1 adds the constant 1."""
+    """Lay the last axis out as whole vector registers; a_i = 0, q_i = 1 adds the constant 1."""
     missing = -values.shape[-1] % _PADDED
     widths = [(0, 0)] * (values.ndim - 1) + [(0, missing)]
-    return np.pad(values, widths, constant_values=filling).astype(np.float32)
+    padded = np.pad(values, widths, constant_values=filling).astype(np.float32)
+    return padded.reshape(*values.shape[:-1], -1, _PADDED)
 
 
-@njit(cache=True, parallel=True, fastmath=FAST_BUT_NAN, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _refine(
+    start: int,
+    stop: int,
     relative: Float32,
     gain: Float32,
     change: Float32,
-    start: Float32,
     reach: float,
     step: float,
     weight: Float32,
-) -> tuple[Float32, Float32]:
+    scales: Float32,
+    heights: Float32,
+) -> None:
     """Newton's method in r, kept between places where the curve rises and falls."""
-    scales = start.copy()
-    heights = np.full(start.shape, -np.inf, np.float32)
     last = gain.shape[0] - 1
     directions = relative.shape[1]
-    for point in prange(start.shape[0]):
-        log_s = np.empty(directions, np.float32)
-        moves = np.empty((directions, 2), np.float32)
-        for k in range(start.shape[1]):
-            scale = np.float64(start[point, k])
+    log_s = np.empty(directions, np.float32)
+    moves = np.empty((directions, 2), np.float32)
+    sums = np.empty((6, _PADDED), np.float32)
+    product = np.empty(_PADDED, np.float64)
+    for point in range(start, stop):
+        for k in range(scales.shape[1]):
+            scale = np.float64(scales[point, k])
             if np.isnan(scale):
                 continue
             low, high = max(scale - reach, 0.0), min(scale + reach, last * step)
             index = int(np.rint(scale / step))
             for direction in range(directions):
-                log_s[direction] = first_log_strength(
-                    relative[point, direction], gain[index, direction]
+                log_s[direction] = _first_log_strength(
+                    relative, gain, point, direction, index, sums
                 )
             for _ in range(_NEWTON_ROUNDS):
                 height, slope, curvature = 0.0, 0.0, 0.0
                 index = min(int(scale / step), last - 1)
                 for direction in range(directions):
                     least, d_r, d_rr, move, coupling = _profile_step(
-                        relative[point, direction],
-                        gain[index, direction],
-                        change[index, direction],
-                        gain[index + 1, direction],
-                        change[index + 1, direction],
+                        relative,
+                        gain,
+                        change,
+                        point,
+                        direction,
+                        index,
                         np.float32(scale / step - index),
                         log_s[direction],
+                        sums,
+                        product,
                     )
                     moves[direction, 0], moves[direction, 1] = move, coupling
                     height -= weight[point, direction] * least
@@ -199,18 +228,74 @@ def _refine(
                     break
             if abs(scale - scales[point, k]) < _CLOSE_ENOUGH:
                 scales[point, k] = scale
-    return scales, heights
 
 
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _first_log_strength(
+    relative: Float32, gain: Float32, point: int, direction: int, index: int, sums: Float32
+) -> np.float32:
+    """Return log s of the best s of one scale by (11), from the least-squares one.
+
+    See `_profile_step` for the parameters.
+    """
+    one, smallest = np.float32(1), SMALLEST / gain[index, direction, 0, 0]
+    _clear(sums, 2)
+    for i in range(relative.shape[2]):
+        for lane in range(_PADDED):
+            a = gain[index, direction, i, lane]
+            sums[0, lane] += a * (relative[point, direction, i, lane] - one)
+            sums[1, lane] += a * a
+    _add_lanes(sums, 2)
+    s = max(sums[0, 0] / sums[1, 0], smallest)
+    for _ in range(FIRST_ROUNDS):
+        _clear(sums, 2)
+        for i in range(relative.shape[2]):
+            for lane in range(_PADDED):
+                a = gain[index, direction, i, lane]
+                inverse = one / (one + s * a)
+                weight = a * inverse
+                sums[0, lane] += weight * (relative[point, direction, i, lane] * inverse - one)
+                sums[1, lane] += weight * weight
+        _add_lanes(sums, 2)
+        if sums[1, 0] <= np.float32(0):  # below single precision: no noise is that small
+            break
+        before = s
+        s = max(s + sums[0, 0] / sums[1, 0], smallest)
+        if abs(s - before) < np.float32(0.1) * before:
+            break
+    return min(np.float32(np.log(s)), LARGEST_LOG)
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _clear(sums: Float32, count: int) -> None:
+    for k in range(count):
+        for lane in range(_PADDED):
+            sums[k, lane] = 0
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _add_lanes(sums: Float32, count: int) -> None:
+    """Add halves of the lanes to each other until the first one holds all of them."""
+    for k in range(count):
+        for lane in range(8):
+            sums[k, lane] += sums[k, lane + 8]
+        for lane in range(4):
+            sums[k, lane] += sums[k, lane + 4]
+        sums[k, 0] = (sums[k, 0] + sums[k, 2]) + (sums[k, 1] + sums[k, 3])
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def _profile_step(
-    q: Float32,
+    relative: Float32,
     gain: Float32,
     change: Float32,
-    next_gain: Float32,
-    next_change: Float32,
+    point: int,
+    direction: int,
+    index: int,
     x: np.float32,
-    log_s: float,
+    log_s: np.float32,
+    sums: Float32,
+    product: Float64,
 ) -> tuple[np.floating, np.floating, np.floating, np.floating, np.floating]:
     """Return the least deviance over s near a place (r, log s), and Newton's step from there.
 
@@ -221,6 +306,9 @@ def _profile_step(
     f - f_t^2 / 2 f_tt, where its derivatives in x are f_x - f_xt f_t / f_tt and
     f_xx - f_xt^2 / f_tt.
 
+    `sums`, (6, _PADDED), and `product`, (_PADDED,), are room for one sum a lane of the
+    processor's vectors: every _PADDED-th frequency is in the same one, whatever the processor.
+
     Returns
     -------
     least, d_x, d_xx : float
@@ -228,35 +316,44 @@ def _profile_step(
         Of log s: it moves by `move` plus `coupling` times the move of x.
     """
     half, one, two, three = np.float32(0.5), np.float32(1), np.float32(2), np.float32(3)
-    s = np.exp(log_s)
-    f_t, f_x, f_tt, f_xt, f_xx = (
-        np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-    )  # fmt: skip
-    total = np.float32(0)
-    logarithm = 0.0
-    for block in range(0, q.shape[0], _PADDED):
-        product = 1.0
-        for i in range(block, block + _PADDED):
-            rise = next_gain[i] - gain[i]
-            second = three * rise - two * change[i] - next_change[i]
-            third = change[i] + next_change[i] - two * rise
-            a = gain[i] + x * (change[i] + x * (second + x * third))
-            a_x = change[i] + x * (two * second + three * x * third)
+    s = np.float32(np.exp(log_s))
+    _clear(sums, 6)
+    for lane in range(_PADDED):
+        product[lane] = 1
+    for i in range(relative.shape[2]):
+        for lane in range(_PADDED):
+            here, there = gain[index, direction, i, lane], gain[index + 1, direction, i, lane]
+            leaves, arrives = (
+                change[index, direction, i, lane],
+                change[index + 1, direction, i, lane],
+            )
+            rise = there - here
+            second = three * rise - two * leaves - arrives
+            third = leaves + arrives - two * rise
+            a = here + x * (leaves + x * (second + x * third))
+            a_x = leaves + x * (two * second + three * x * third)
             a_xx = two * second + np.float32(6) * x * third
             inverse = one / (one + s * a)
-            ratio = q[i] * inverse
+            ratio = relative[point, direction, i, lane] * inverse
             excess = (one - ratio) * inverse
             bend = (two * ratio - one) * inverse * inverse
-            product *= one + s * a
-            total += ratio
-            f_t += a * excess
-            f_x += a_x * excess
-            f_tt += a * (excess + s * a * bend)
-            f_xt += a_x * (excess + s * a * bend)
-            f_xx += s * a_x * a_x * bend + a_xx * excess
-        logarithm += np.log(product)
-    deviance = total + logarithm
-    f_t, f_x, f_tt, f_xt, f_xx = s * f_t, s * f_x, s * f_tt, s * f_xt, s * f_xx
+            product[lane] *= one + s * a
+            sums[0, lane] += ratio
+            sums[1, lane] += a * excess
+            sums[2, lane] += a_x * excess
+            sums[3, lane] += a * (excess + s * a * bend)
+            sums[4, lane] += a_x * (excess + s * a * bend)
+            sums[5, lane] += s * a_x * a_x * bend + a_xx * excess
+    logarithm = 0.0
+    for lane in range(0, _PADDED, 4):
+        logarithm += np.log(
+            (product[lane] * product[lane + 1]) * (product[lane + 2] * product[lane + 3])
+        )
+    _add_lanes(sums, 6)
+    deviance = sums[0, 0] + logarithm
+    f_t, f_x, f_tt, f_xt, f_xx = (
+        s * sums[1, 0], s * sums[2, 0], s * sums[3, 0], s * sums[4, 0], s * sums[5, 0]
+    )  # fmt: skip
     if f_tt <= 0:
         return deviance, f_x, f_xx, np.float32(0), np.float32(0)
     move, coupling = -f_t / f_tt, -f_xt / f_tt

@@ -5,10 +5,10 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.axes import arranged_image
+from napari_defocus.bands import thread_count
 from napari_defocus.blur_operator import checked_scales
 from napari_defocus.deconvolution import Deconvolution
 from napari_defocus.image import (
@@ -156,7 +156,7 @@ def restore_all_in_focus(
     if tv_weight is None:
         tv_weight = usual_tv_weight(noise_variance, channels)
     noise_variance = _noise_of_a_channel(noise_variance, channels)
-    with ThreadPoolExecutor(get_num_threads()) as pool:
+    with ThreadPoolExecutor(thread_count()) as pool:
         problem = Deconvolution(picture, psf, sure, noise_variance, tv_weight, linearize, pool)
         sharp = np.clip(problem.solve(scales, progress), 0, 1)
     if linearize == "srgb":

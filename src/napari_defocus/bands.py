@@ -1,0 +1,61 @@
+"""Kernels on several threads: each works on a band of rows, as numba compiles it for one thread.
+
+A kernel that is given its band, and sums in an order that its source fixes, gives the same bits
+on any number of threads. So no kernel of this package has numba's ``parallel=True``, which also
+takes two to four times as long to compile, and none has ``fastmath``: what that lets the compiler
+reorder depends on the processor, on what is inlined where, and on whether the kernel was compiled
+in this process or read from numba's cache.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any
+
+import numba
+
+_BANDS_A_THREAD = 4
+"""So that a thread whose rows are quick can take more of them."""
+
+
+def thread_count() -> int:
+    """Return how many threads work at once: the environment's NUMBA_NUM_THREADS, or all cores."""
+    return int(numba.config.NUMBA_NUM_THREADS)
+
+
+def in_bands(kernel: Callable[..., None], length: int, *arguments: Any, least: int = 1) -> None:
+    """Call ``kernel(start, stop, *arguments)`` for bands that cover all of a range.
+
+    Parameters
+    ----------
+    kernel : callable
+        Compiled with ``nogil=True``. What it writes for one index depends on no other.
+    length : int
+        The range is 0 to `length`.
+    *arguments
+        What the kernel reads, and the arrays that it writes to.
+    least : int, optional
+        No band is shorter: below that, handing it over takes longer than the work. Bands begin
+        at multiples of it.
+    """
+    threads = thread_count()
+    steps = -(-length // least)
+    if threads == 1 or steps <= 1:
+        kernel(0, length, *arguments)
+        return
+    side = -(-steps // (_BANDS_A_THREAD * threads)) * least
+    started = [
+        _pool(os.getpid(), threads).submit(kernel, start, min(start + side, length), *arguments)
+        for start in range(0, length, side)
+    ]
+    for band in started:
+        band.result()
+
+
+@lru_cache(maxsize=1)
+def _pool(process: int, threads: int) -> ThreadPoolExecutor:
+    """Return the threads of this process: one that was forked has none of its parent's."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="napari-defocus")

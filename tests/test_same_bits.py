@@ -1,0 +1,133 @@
+"""Maps, masks and confidences have the same bits whatever computes them.
+
+What is promised exact (parts of a picture, any number of workers, a batch that is killed and
+started again) must not depend on the kernels of a library of linear algebra, on the number of
+threads, or on whether numba compiled a kernel in this process or read it from its cache.
+"""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import napari_defocus
+from napari_defocus.bands import in_bands
+
+PACKAGE = Path(napari_defocus.__file__).parent
+
+SCENE = """
+import hashlib
+import numpy as np
+from skimage.data import camera
+from napari_defocus import *
+
+def show(**found):
+    for name, values in found.items():
+        print(name, hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest())
+
+picture = np.repeat(camera()[40:170, 150:310, None], 3, axis=2) / 255
+picture[..., 1] **= 1.2
+radius = np.broadcast_to(np.linspace(0.5, 6, 160), (130, 160))
+seen = simulate_defocus(picture, radius, noise_variance=1e-5, rng=0)
+candidates = estimate_candidates(seen)
+show(candidates=candidates.radii, curves=candidates.curve)
+"""
+
+RESULTS = """
+blur_map = label_blur_map(candidates, seen)
+confidence = confidence_map(candidates, blur_map)
+safe = cautious_blur_map(candidates, blur_map)
+kernels = np.stack([np.pad(Disc().kernel(1), 3), Disc().kernel(4)])
+corner = seen[:60, :60]
+show(
+    blur_map=blur_map,
+    confidence=confidence,
+    mask=segment_in_focus(candidates, seen),
+    all_in_focus=restore_all_in_focus(seen, safe, confidence=confidence),
+    measured_lens=estimate_candidates(corner, psf=MeasuredPSF([1, 4], kernels)).curve,
+    other_family=estimate_candidates(corner, psf=GeneralizedGaussian(4.0, 3.0)).curve,
+)
+"""
+
+NEEDS = {"Nehalem": "SSE42", "Haswell": "AVX2", "SkylakeX": "AVX512F"}
+"""The kernels of OpenBLAS that are tried, and what a processor must have for them."""
+
+
+def can_run(kernels):
+    from numpy._core._multiarray_umath import __cpu_features__
+
+    return __cpu_features__.get(NEEDS[kernels], False) or (
+        NEEDS[kernels] == "SSE42" and __cpu_features__.get("X86_V2", False)
+    )
+
+
+def results_with(threads, kernels=None, script=SCENE + RESULTS, **more):
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
+    environment |= more
+    environment.pop("OPENBLAS_CORETYPE", None)
+    if kernels is not None:
+        environment["OPENBLAS_CORETYPE"] = kernels
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def usual_results():
+    return results_with("1")
+
+
+@pytest.mark.parametrize(
+    ("kernels", "threads"), [("Nehalem", "2"), ("Haswell", "1"), ("SkylakeX", "2")]
+)
+def test_results_do_not_depend_on_linear_algebra_or_threads(usual_results, kernels, threads):
+    if not can_run(kernels):
+        pytest.skip(f"this processor has no {NEEDS[kernels]}")
+    assert results_with(threads, kernels) == usual_results
+
+
+def test_results_of_kernels_compiled_here_are_those_of_cached_ones(usual_results, tmp_path):
+    compiled = results_with("2", script=SCENE, NUMBA_CACHE_DIR=str(tmp_path))
+    assert compiled.startswith("candidates")
+    assert usual_results.startswith(compiled)
+
+
+def test_no_kernel_lets_the_compiler_reorder_sums():
+    options = {
+        keyword.arg: (path.name, function.name)
+        for path in PACKAGE.rglob("*.py")
+        for function in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(function, ast.FunctionDef)
+        for decorator in function.decorator_list
+        if isinstance(decorator, ast.Call) and "njit" in ast.unparse(decorator.func)
+        for keyword in decorator.keywords
+    }
+    assert "nogil" in options
+    assert options.keys() & {"fastmath", "parallel"} == set()
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 100])
+@pytest.mark.parametrize("least", [1, 16])
+def test_bands_cover_every_row_once(length, least):
+    counts = np.zeros(length, int)
+
+    def count(start, stop, counts):
+        assert start % least == 0
+        counts[start:stop] += 1
+
+    in_bands(count, length, counts, least=least)
+    assert (counts == 1).all()
+
+
+def test_error_in_a_band_is_raised():
+    def fail(start, stop):
+        raise MemoryError("no room")
+
+    with pytest.raises(MemoryError, match="no room"):
+        in_bands(fail, 100)
