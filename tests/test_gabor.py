@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from napari_defocus.gabor import (
-    _filtered,
-    axis_filters,
     frequencies,
     gradients,
     local_power,
@@ -30,19 +28,6 @@ def explicit_power(luminance, row, column, window, direction):
         wave = np.exp(-2j * np.pi * (a_row * y + a_column * x) / window)
         power.append(np.abs(np.sum(samples * envelope * wave)) ** 2)
     return np.array(power)
-
-
-@pytest.mark.kernel
-@pytest.mark.parametrize("window", [17, 25, 41])
-@pytest.mark.parametrize("fraction", [0.0, 0.5])
-def test_filtered_samples_are_sums_of_products_with_the_taps(window, fraction):
-    filters = axis_filters(window, fraction)
-    samples = np.random.default_rng(0).normal(size=(60, 3)).astype(np.float32)
-    first = np.array([0, 3, 60 - len(filters.taps)])
-    found = _filtered(samples, first, filters)
-    for at, sums in zip(first, found, strict=True):
-        expected = filters.taps.T.astype(float) @ samples[at : at + len(filters.taps)]
-        np.testing.assert_allclose(sums, expected, atol=1e-5)
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from napari_defocus.boundaries import (
 from napari_defocus.coarser_grids import _RELAXATION, STEPS, _joined_weights, _relaxed
 from napari_defocus.deconvolution import _smoothness_form, _stiffness
 from napari_defocus.evidence import _limited
-from napari_defocus.gabor import window_centers
+from napari_defocus.gabor import _filtered, axis_filters, window_centers
 from napari_defocus.graphcut import (
     Edges,
     _change,
@@ -104,6 +104,18 @@ def test_spread_is_the_adjoint_of_gather(channels):
     there = np.tensordot([blur.apply(one) for one in f], y, ((1, 2, 3), (1, 2, 3)))
     back = np.tensordot(f, [blur.adjoint(one) for one in y], ((1, 2, 3), (1, 2, 3)))
     np.testing.assert_allclose(back, there, atol=1e-4)
+
+
+@pytest.mark.parametrize("window", [17, 25, 41])
+@pytest.mark.parametrize("fraction", [0.0, 0.5])
+def test_filtered_samples_are_sums_of_products_with_the_taps(window, fraction):
+    filters = axis_filters(window, fraction)
+    samples = np.random.default_rng(0).normal(size=(60, 3)).astype(np.float32)
+    first = np.array([0, 3, 60 - len(filters.taps)])
+    found = _filtered(samples, first, filters)
+    for at, sums in zip(first, found, strict=True):
+        expected = filters.taps.T.astype(float) @ samples[at : at + len(filters.taps)]
+        np.testing.assert_allclose(sums, expected, atol=1e-5)
 
 
 def test_stiffness_is_that_of_the_joint_variation():

@@ -34,6 +34,8 @@ Float64 = NDArray[np.floating]
 Slices = tuple[slice, slice]
 
 _REFERENCE_STRIDE = 4
+"""px: for windows so far apart the weights below hold."""
+
 _SLOPE_WEIGHT, _BEND_WEIGHT = 1.0, 3e4
 _LEAST_WEIGHT = 0.02
 _REACH = 14
@@ -197,8 +199,8 @@ def _solve(
     solver, diagonal = None, form.indptr[1:] - 1
     # Where smoothness is all, the evidence would be lost beside it in rounding.
     least = _LEAST_EVIDENCE * form.data.max(initial=0.0)
-    mean, variance = _around(curve, scales, scale)
     for _ in range(_ROUNDS):
+        mean, variance = _around(curve, scales, scale)
         evidence = independent / (variance + (scale - mean) ** 2) + least
         system = form.copy()
         system.data[diagonal] += evidence
@@ -259,10 +261,11 @@ def _smoothness_form(
     number = np.arange(labels.size).reshape(labels.shape)
     first, second, value = [number.ravel()], [number.ravel()], [own.ravel()]
     for k, (_, right) in enumerate(STEPS[:2]):
-        # All as (lines, places along them), views of the same arrays.
+        # All as (lines, places along them), views of the same arrays; in double precision, since
+        # rows of the form must add up to 0.
         along = (lambda array: array) if right else np.transpose
         alike = np.abs(np.diff(along(labels), axis=1)) < jump
-        slope = np.where(alike, np.maximum(along(weights[k])[:, :-1], _LEAST_WEIGHT), 0.0)
+        slope = np.maximum(along(weights[k])[:, :-1].astype(np.float64), _LEAST_WEIGHT) * alike
         bend = _BEND_WEIGHT / spacing**2 * np.minimum(slope[:, :-1], slope[:, 1:])
         diagonal, numbers = along(own), along(number)
         diagonal[:, :-1] += _SLOPE_WEIGHT * slope
