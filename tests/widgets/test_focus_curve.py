@@ -211,7 +211,7 @@ def test_large_stack_is_read_in_a_thread_and_can_be_cancelled(viewer, opened, qt
     widget = opened(FocusCurveWidget)
     choose(widget)
     running = widget.run()
-    qtbot.waitUntil(lambda: widget.progress_bar.value > 0)
+    qtbot.waitUntil(lambda: len(read) > 5)
     with qtbot.waitSignal(running.finished):
         widget.cancel()
         cancelled.set()

@@ -115,7 +115,6 @@ def test_nothing_stops_the_window_while_a_megapixel_is_estimated_labelled_and_cu
                 assert widget.run() is not None
             qtbot.waitUntil(lambda: settled(widget))
             qtbot.wait(100)
-            print(name, ticking.most_work, ticking.answering, sorted(ticking._between)[-3:], sum(w for w, _ in ticking._between))
             work[name].append(ticking.most_work)
             assert ticking.answering > MOSTLY, name
     assert {name: min(seconds) for name, seconds in work.items() if min(seconds) >= LATE} == {}
