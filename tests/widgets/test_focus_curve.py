@@ -203,7 +203,7 @@ def test_large_stack_is_read_in_a_thread_and_can_be_cancelled(viewer, opened, qt
     def slow(block_info):
         read.append(block_info)
         if len(read) > 5:
-            cancelled.wait()
+            cancelled.wait(600)
         return np.ones((1, 8, 10), np.float32)
 
     stack = da.map_blocks(slow, chunks=((1,) * 200, (8,), (10,)), dtype=np.float32)

@@ -88,7 +88,7 @@ def test_mask_that_is_not_wanted_any_more_is_not_shown(
     def slow(candidates, image, *, threshold, **arguments):
         if threshold == 3.0:
             started.set()
-            go_on.wait()
+            go_on.wait(600)
         return segment(candidates, image, threshold=threshold, **arguments)
 
     monkeypatch.setitem(vars(napari_defocus), "segment_in_focus", slow)
