@@ -346,7 +346,7 @@ def test_killed_ended_and_short_of_a_worker_the_bytes_are_the_same(
     photographs, stack, tmp_path, grass
 ):
     for number in range(30):  # so many that none of the runs is over too early
-        save(photographs / f"more{number}.png", np.roll(grass, 3 * number))
+        save(photographs / f"more{number}.png", np.roll(grass, 3 * number)[:112, :112])
     (photographs / "cut.tif").write_bytes(stack.read_bytes()[:300])  # of which tifffile complains
     stack.rename(photographs / stack.name)
     calm, out = tmp_path / "calm", tmp_path / "out"

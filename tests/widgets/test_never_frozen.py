@@ -97,7 +97,7 @@ def test_nothing_stops_the_window_while_a_megapixel_is_estimated_labelled_and_cu
     run = widget.run()
     with qtbot.waitSignal(run.finished):
         pass
-    widget.settings.take(MapSettings(), MaskSettings())
+    widget.settings.take(MapSettings(stride=8), MaskSettings())
     work = {"a run": [], "the threshold": []}
     for attempt in range(3):
         left = [name for name, seconds in work.items() if not seconds or min(seconds) >= LATE]
