@@ -2,6 +2,9 @@ import os
 
 import numpy as np
 import pytest
+from filelock import FileLock
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 from skimage import data
 
 from napari_defocus import simulate_defocus
@@ -23,6 +26,33 @@ def pytest_collection_modifyitems(config, items):
         group = "windows" if item.path in with_windows else item.path.stem
         item.add_marker(pytest.mark.xdist_group(group))
     items.sort(key=lambda item: item.path not in with_windows)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _every_kernel_is_compiled_once(request, tmp_path_factory):
+    """Of the processes that share the tests, one compiles a kernel; the others wait and load it.
+
+    No two wait for each other: a kernel waits for those that it calls, and none calls itself.
+    """
+    if not hasattr(request.config, "workerinput"):
+        yield
+        return
+    locks = tmp_path_factory.getbasetemp().parent / "kernels"
+    locks.mkdir(exist_ok=True)
+    compiled = Dispatcher.compile
+
+    def compiled_in_turn(kernel, signature):
+        of = kernel.py_func
+        if not of.__module__.startswith("napari_defocus"):
+            return compiled(kernel, signature)
+        lock = FileLock(locks / f"{of.__module__}.{of.__qualname__}", is_singleton=True)
+        # In this order: a thread that compiles must not wait for one that waits to compile.
+        with global_compiler_lock, lock:
+            return compiled(kernel, signature)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Dispatcher, "compile", compiled_in_turn)
+        yield
 
 
 def _locked(picture):

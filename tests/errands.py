@@ -22,7 +22,7 @@ def doubled(array, *, progress):
 def endless(*, progress):
     """Report once, then nothing, as within a long cut."""
     progress("at work", 0.5)
-    time.sleep(60)
+    time.sleep(3600)
 
 
 def reporting(*, progress):

@@ -78,7 +78,7 @@ MODULES = [
 
 def run_python(code):
     return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout
 
 

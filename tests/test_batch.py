@@ -335,12 +335,10 @@ def start(inputs, output, workers):
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
-def wait_for(condition):
+def wait_for(condition, process):
     # Workers may compile every kernel first, on a machine that does other things, too.
-    deadline = time.monotonic() + 150
     while not condition():
-        if time.monotonic() > deadline:
-            raise TimeoutError
+        assert process.poll() is None
         time.sleep(0.005)
 
 
@@ -348,7 +346,7 @@ def test_killed_ended_and_short_of_a_worker_the_bytes_are_the_same(
     photographs, stack, tmp_path, grass
 ):
     for number in range(30):  # so many that none of the runs is over too early
-        save(photographs / f"more{number}.png", np.roll(grass, 3 * number))
+        save(photographs / f"more{number}.png", np.roll(grass, 3 * number)[:112, :112])
     (photographs / "cut.tif").write_bytes(stack.read_bytes()[:300])  # of which tifffile complains
     stack.rename(photographs / stack.name)
     calm, out = tmp_path / "calm", tmp_path / "out"
@@ -358,21 +356,21 @@ def test_killed_ended_and_short_of_a_worker_the_bytes_are_the_same(
         return len(list(out.glob(".batch/sources/*/plane*.json")))
 
     process = start(photographs, out, workers=2)
-    wait_for(lambda: finished() >= 1)
+    wait_for(lambda: finished() >= 1, process)
     children = psutil.Process(process.pid).children()
     workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
     assert len(workers) == 2
     workers[0].kill()
     count = finished()
-    wait_for(lambda: finished() > count)
+    wait_for(lambda: finished() > count, process)
     process.kill()
     process.communicate()
-    assert not psutil.wait_procs(workers, timeout=10)[1]
+    assert not psutil.wait_procs(workers, timeout=300)[1]
     count = finished()
     assert 2 <= count < 35
 
     process = start(photographs, out, workers=1)
-    wait_for(lambda: finished() > count)
+    wait_for(lambda: finished() > count, process)
     # As a terminal does: the workers get it, too.
     os.killpg(process.pid, signal.SIGINT)
     told = process.communicate()[1].splitlines()

@@ -299,7 +299,7 @@ def test_data_go_to_another_process(tmp_path, rng, monkeypatch):
     )
     told = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "data")],
-        cwd=tmp_path.parent, capture_output=True, text=True, timeout=60, check=True,
+        cwd=tmp_path.parent, capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
     expected = [values[..., 5:, :7].sum(dtype=int)] * 3 + [values[0, 0, 5:, :7].sum(dtype=int)]
     assert [int(line) for line in told.split()] == expected

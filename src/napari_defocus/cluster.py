@@ -19,8 +19,11 @@ from napari_defocus.lazy_arrays import need_large_extra
 if TYPE_CHECKING:
     from distributed import Client
 
-ANSWERS_WITHIN = 5
-"""Seconds that a scheduler has to answer, and then its first worker to be there."""
+ANSWERS_WITHIN = 15
+"""Seconds that a scheduler has to answer: it may be busy, and so may the machine it is on."""
+
+HAS_WORKER_WITHIN = 15
+"""Seconds that the first worker of a scheduler has to be there."""
 
 TASKS_PER_THREAD = 2
 """Of the workers, that wait or are worked on at a time: ten thousand jobs wait here."""
@@ -62,7 +65,7 @@ def dask_client(address: str | None = None, *, workers: int | None = None) -> It
     Raises
     ------
     ConnectionError
-        If no scheduler answers at the address within a few seconds, or it has no worker.
+        If no scheduler answers at the address within 15 s, or it has no worker then.
     ValueError
         If the address is none, or `workers` is below 1 or given together with an address.
     ImportError
@@ -318,7 +321,7 @@ async def _knock(address: str) -> None:
 
 def _need_worker(client: Any, address: str) -> None:
     try:
-        client.wait_for_workers(1, timeout=ANSWERS_WITHIN)
+        client.wait_for_workers(1, timeout=HAS_WORKER_WITHIN)
     except TimeoutError as error:
         raise ConnectionError(f"the dask scheduler at {address} has no workers") from error
 

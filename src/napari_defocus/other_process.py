@@ -53,9 +53,6 @@ _PIPE = 2**20
 _GRACE = 0.3
 """Seconds that a call has to end at one of its reports, once it is not wanted any more."""
 
-_LAST_WORDS = 1.0
-"""Seconds that a process whose pipe is closed has to end by itself."""
-
 _NICENESS = 5
 """So that a window that shows results has the processor first."""
 
@@ -151,6 +148,7 @@ class _Helper:
         self._messages: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
         self._has_started = False
         self._is_working = False
+        self._answer_fits = True
         threading.Thread(target=self._listen, args=(process.stdout,), daemon=True).start()
 
     @property
@@ -221,16 +219,17 @@ class _Helper:
             ask()
 
     def _listen(self, answers: IO[bytes]) -> None:
-        with answers, suppress(MemoryError):
-            while (message := _read(answers)) is not None:
-                self._messages.put(message)
+        try:
+            with answers:
+                while (message := _read(answers)) is not None:
+                    self._messages.put(message)
+        except MemoryError:
+            self._answer_fits = False
         self._messages.put(None)
 
     def _reason_of_end(self) -> Exception:
-        try:
-            code = self._process.wait(_LAST_WORDS)
-        except subprocess.TimeoutExpired:  # its answer did not fit into memory here
-            code = _NO_MEMORY
+        # A process that has closed its pipe is about to end, however long that takes.
+        code = self._process.wait() if self._answer_fits else _NO_MEMORY
         if code in (_NO_MEMORY, -_KILLED):
             return MemoryError("memory ran out, and the process that did the work ended")
         return RuntimeError(f"the process that did the work ended with exit code {code}")

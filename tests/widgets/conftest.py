@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.utils.notifications import notification_manager
+from pytestqt.qtbot import QtBot
 
 import napari_defocus
-from napari_defocus import ShotNoise
+from napari_defocus import Cancelled, ShotNoise
+
+ONLY_WHAT_HANGS = 600_000
+"""Milliseconds to wait for what has to come: a busy machine is slow, and that is no mistake."""
 
 
 def has_display():
@@ -55,6 +59,21 @@ def _nothing_kept(request, monkeypatch):
     from napari_defocus.widgets.kept import KeptWork
 
     monkeypatch.setattr(ImagePanel, "kept", KeptWork())
+
+
+class PatientQtBot(QtBot):
+    """Waits for what has to come however long it takes; no test may depend on how long."""
+
+    def waitUntil(self, callback, *, timeout=ONLY_WHAT_HANGS):  # noqa: N802
+        super().waitUntil(callback, timeout=timeout)
+
+    def waitSignal(self, signal, *, timeout=ONLY_WHAT_HANGS):  # noqa: N802
+        return super().waitSignal(signal, timeout=timeout)
+
+
+@pytest.fixture
+def qtbot(qapp, request):
+    return PatientQtBot(request)
 
 
 @pytest.fixture
@@ -104,10 +123,10 @@ def docked(window):
 
 @pytest.fixture
 def finish(qtbot):
-    def run(widget, timeout=30_000):
+    def run(widget):
         running = widget.run()
         assert running is not None
-        with qtbot.waitSignal(running.finished, timeout=timeout):
+        with qtbot.waitSignal(running.finished):
             pass
 
     return run
@@ -186,16 +205,38 @@ def method(monkeypatch):
     return stand_in
 
 
+class Endless:
+    """Work that goes on until a report of it ends it."""
+
+    def __init__(self):
+        self.has_begun = self.was_ended = False
+
+    def work(self, step, progress):
+        self.has_begun = True
+        try:
+            for _ in range(3000):
+                progress(step, 0.25)
+                time.sleep(0.01)
+        except Cancelled:
+            self.was_ended = True
+            raise
+
+
 @pytest.fixture
-def endless_method(method, monkeypatch):
+def endless():
+    """Endless work; whoever begins it has to end it."""
+    work = Endless()
+    yield work
+    assert work.was_ended == work.has_begun
+
+
+@pytest.fixture
+def endless_method(method, endless, monkeypatch):
     """A method whose estimation goes on until its progress callback ends it."""
 
     def estimate_candidates(image, *, progress, **arguments):
         method.estimations.append(image)
-        give_up = time.monotonic() + 30
-        while time.monotonic() < give_up:
-            progress("Estimating blur", 0.25)
-            time.sleep(0.01)
+        endless.work("Estimating blur", progress)
 
     monkeypatch.setitem(vars(napari_defocus), "estimate_candidates", estimate_candidates)
     return method

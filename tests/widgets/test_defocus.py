@@ -29,7 +29,7 @@ def leaf(viewer, texture):
 def finished(qtbot):
     def wait(run):
         assert run is not None
-        with qtbot.waitSignal(run.finished, timeout=60_000):
+        with qtbot.waitSignal(run.finished):
             pass
 
     return wait
@@ -314,7 +314,7 @@ def test_copied_script_gives_the_same_map_and_mask_bit_for_bit(
     widget = docked(DefocusWidget)
     widget.settings.threshold.value = 1.6
     widget.settings.map_smoothness.value = 12.0
-    finish(widget, timeout=120_000)
+    finish(widget)
     finished(widget.tools.copy_script())
     script = tmp_path / "again.py"
     script.write_text(QApplication.clipboard().text())

@@ -15,6 +15,7 @@ from napari_defocus.widgets.blur_map import BlurMapWidget
 from napari_defocus.widgets.image_panel import ImagePanel
 from napari_defocus.widgets.in_focus import InFocusWidget
 from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.run_panel import PAUSE
 
 pytestmark = pytest.mark.display
 
@@ -23,8 +24,10 @@ pytestmark = pytest.mark.display
 def settled(qtbot):
     def wait(widget):
         qtbot.wait(20)
-        qtbot.waitUntil(lambda: not widget._live_labels.is_busy, timeout=60_000)
-        qtbot.wait(100)
+        qtbot.waitUntil(lambda: not widget._live_labels.is_busy)
+        for _ in range(5):
+            # Each lets at least one more layer be shown, however late its timer comes.
+            qtbot.wait(PAUSE + 5)
 
     return wait
 
@@ -85,7 +88,7 @@ def test_mask_that_is_not_wanted_any_more_is_not_shown(
     def slow(candidates, image, *, threshold, **arguments):
         if threshold == 3.0:
             started.set()
-            go_on.wait(10)
+            go_on.wait(600)
         return segment(candidates, image, threshold=threshold, **arguments)
 
     monkeypatch.setitem(vars(napari_defocus), "segment_in_focus", slow)
@@ -213,7 +216,7 @@ def test_large_picture_has_a_rough_mask_first_and_then_that_of_the_function(
     rough = []
     run = widget.run()
     run.previewed.connect(lambda layers: rough.append([made["name"] for _, made, _ in layers]))
-    with qtbot.waitSignal(run.finished, timeout=120_000):
+    with qtbot.waitSignal(run.finished):
         pass
     assert rough == [["stones blur (px)", "stones in focus"]]
     assert "preview" not in viewer.layers["stones in focus"].metadata["napari_defocus"]
@@ -244,8 +247,10 @@ def test_slider_and_brush_of_a_real_window(
     assert widget.settings.threshold.value > 2.0
     assert method.segmentations[-1]["threshold"] == widget.settings.threshold.value
 
+    canvas, drawn = window.__wrapped__.window._qt_viewer.canvas.native, []
+    canvas._vispy_canvas.events.draw.connect(lambda _: drawn.append(True))
     widget.seeds_button.native.click()
-    canvas = window.__wrapped__.window._qt_viewer.canvas.native
+    qtbot.waitUntil(lambda: bool(drawn))
     qtbot.wait(200)
     middle = QPoint(canvas.width() // 2, canvas.height() // 2)
     QTest.mousePress(canvas, Qt.LeftButton, pos=middle)

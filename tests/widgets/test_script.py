@@ -69,7 +69,7 @@ def run_scripts(folder, scripts):
         paths[name].write_text(text, encoding="utf-8")
     (folder / "scripts.txt").write_text("\n".join(map(str, paths.values())))
     command = [sys.executable, "-c", RUN, folder / "scripts.txt", folder / "results"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     found = np.load(folder / "results", allow_pickle=True)
     return {name: found[str(path)] for name, path in paths.items()}
