@@ -7,9 +7,11 @@ Needs nothing but Python; everything else is installed into .venv beside this fi
 import ctypes
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 # For whoever starts this with an older Python than the package takes.
@@ -24,6 +26,9 @@ BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
 
 OLDEST_PIP = (25, 1)  # the first one that knows --group
+
+LINES_APART = 5.0
+"""Seconds between two lines about pip, where they do not replace each other."""
 
 PACKAGES_OF = {
     "demo": ["-e", "."],
@@ -134,7 +139,7 @@ def install(packages):
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + bytes(ROOT)).hexdigest()
     if any(stamp(name) == wanted for name in {packages, *ALSO_HELD_BY.get(packages, ())}):
         return
-    print(f"Installing into {VENV.name}; the first time this takes minutes.", flush=True)
+    print(f"Installing into {VENV.name}; the first time this takes a minute or more.", flush=True)
     stamp_path(packages).unlink(missing_ok=True)
     upgrade_pip()
     pip("install", *PACKAGES_OF[packages])
@@ -178,9 +183,76 @@ def upgrade_pip():
 
 
 def pip(*arguments):
-    options = "-qq", "--disable-pip-version-check"
-    if call(PYTHON, "-m", "pip", *options, *arguments) != 0:
+    if show_steps([PYTHON, "-m", "pip", "--disable-pip-version-check", *arguments]) != 0:
         sys.exit("tasks.py: pip failed, see above")
+
+
+def show_steps(command):
+    """Run pip and say what it is at; show all that it said only if it fails."""
+    said, steps = [], Steps()
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+    ) as process:
+        for line in process.stdout:
+            said.append(line)
+            step = step_of_pip(line)
+            if step is not None:
+                steps.show(step)
+    steps.end()
+    if process.returncode != 0:
+        print("".join(said), end="", flush=True)
+    return process.returncode
+
+
+def step_of_pip(line):
+    """Return what a line of pip says in few words, None if nothing new happens in it."""
+    first, _, rest = line.strip().partition(" ")
+    if first in {"Collecting", "Processing", "Obtaining"}:
+        return f"looking at {name_of_package(rest)}"
+    if first in {"Downloading", "Using"}:
+        return f"downloading {name_of_package(rest.removeprefix('cached '))}{size_in(rest)}"
+    if first in {"Building", "Preparing"}:
+        return "building"
+    if line.startswith("Installing collected packages:"):
+        return f"installing {line.count(',') + 1} packages, which takes a while"
+    return None
+
+
+def name_of_package(text):
+    """Return the name at the beginning of a requirement, or in the path of a file."""
+    path = text.split(" (")[0].strip().rstrip("/")
+    return re.split(r"[<>=!~;\[ ]|-\d", re.split(r"[/\\]", path)[-1])[0]
+
+
+def size_in(text):
+    size = re.search(r"\([\d.]+ [kMG]?B\)", text)
+    return f" {size[0]}" if size else ""
+
+
+class Steps:
+    """One line that changes, in a terminal; elsewhere a line every few seconds."""
+
+    def __init__(self):
+        self.changes = sys.stdout.isatty()
+        self.started, self.printed = time.monotonic(), -LINES_APART
+
+    def show(self, step):
+        now = time.monotonic()
+        if self.changes:
+            self.write(f"  {now - self.started:.0f} s: {step}")
+        elif now - self.printed >= LINES_APART or step.startswith("installing"):
+            self.printed = now
+            print(f"  {now - self.started:.0f} s: {step}", flush=True)
+
+    def write(self, text):
+        """Write over the line that is there."""
+        width = shutil.get_terminal_size().columns - 1
+        print(f"\r{text[:width]:{width}}", end="", flush=True)
+
+    def end(self):
+        if self.changes:
+            self.write("")
+            print("\r", end="", flush=True)
 
 
 def install_display_packages():
