@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -27,7 +28,7 @@ PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
 
 OLDEST_PIP = (25, 1)  # the first one that knows --group
 
-LINES_APART = 5.0
+LINES_APART = 10.0
 """Seconds between two lines about pip, where they do not replace each other."""
 
 PACKAGES_OF = {
@@ -189,16 +190,17 @@ def pip(*arguments):
 
 def show_steps(command):
     """Run pip and say what it is at; show all that it said only if it fails."""
-    said, steps = [], Steps()
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
-    ) as process:
+    said = []
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with (
+        Steps() as steps,
+        subprocess.Popen(command, text=True, errors="replace", **piped) as process,
+    ):
         for line in process.stdout:
             said.append(line)
             step = step_of_pip(line)
             if step is not None:
                 steps.show(step)
-    steps.end()
     if process.returncode != 0:
         print("".join(said), end="", flush=True)
     return process.returncode
@@ -214,7 +216,8 @@ def step_of_pip(line):
     if first in {"Building", "Preparing"}:
         return "building"
     if line.startswith("Installing collected packages:"):
-        return f"installing {line.count(',') + 1} packages, which takes a while"
+        count = line.count(",") + 1
+        return f"installing {count} package{'s' * (count > 1)}"
     return None
 
 
@@ -230,29 +233,49 @@ def size_in(text):
 
 
 class Steps:
-    """One line that changes, in a terminal; elsewhere a line every few seconds."""
+    """What is done, and for how long: a line that changes, or without a terminal a few lines."""
 
     def __init__(self):
         self.changes = sys.stdout.isatty()
         self.started, self.printed = time.monotonic(), -LINES_APART
+        self.step, self.ended, self.lock = "", threading.Event(), threading.Lock()
+
+    def __enter__(self):
+        threading.Thread(target=self.go_on, daemon=True).start()
+        return self
+
+    def __exit__(self, *_):
+        with self.lock:
+            self.ended.set()
+            if self.changes:
+                self.write_over("")
+                print("\r", end="", flush=True)
 
     def show(self, step):
-        now = time.monotonic()
-        if self.changes:
-            self.write(f"  {now - self.started:.0f} s: {step}")
-        elif now - self.printed >= LINES_APART or step.startswith("installing"):
-            self.printed = now
-            print(f"  {now - self.started:.0f} s: {step}", flush=True)
+        with self.lock:
+            self.step = step
+            self.write()
 
-    def write(self, text):
+    def go_on(self):
+        """Let the seconds go on where pip says nothing for long."""
+        while not self.ended.wait(1.0):
+            with self.lock:
+                if self.step and not self.ended.is_set():
+                    self.write()
+
+    def write(self):
+        now = time.monotonic()
+        line = f"  {now - self.started:.0f} s: {self.step}"
+        if self.changes:
+            self.write_over(line)
+        elif now - self.printed >= LINES_APART:
+            self.printed = now
+            print(line, flush=True)
+
+    def write_over(self, text):
         """Write over the line that is there."""
         width = shutil.get_terminal_size().columns - 1
         print(f"\r{text[:width]:{width}}", end="", flush=True)
-
-    def end(self):
-        if self.changes:
-            self.write("")
-            print("\r", end="", flush=True)
 
 
 def install_display_packages():

@@ -14,6 +14,14 @@ SAID = [
 ]
 
 
+STEPS = ["looking at numba", "downloading numba (3.8 MB)", "installing 3 packages"]
+
+
+def without_seconds(lines):
+    """Return the steps of lines; one that stayed for a second is there again."""
+    return list(dict.fromkeys(line.strip().partition(" s: ")[2] for line in lines))
+
+
 def pip_that_says(*lines, code):
     printed = f"import sys; print({chr(10).join(lines)!r}); sys.exit({code})"
     return [sys.executable, "-c", printed]
@@ -24,10 +32,7 @@ def pip_that_says(*lines, code):
     [
         *zip(
             SAID,
-            [
-                *("looking at numba", "downloading numba (3.8 MB)", None),
-                "installing 3 packages, which takes a while",
-            ],
+            [*STEPS[:2], None, STEPS[2]],
             strict=True,
         ),
         ("Processing /wheels/scikit_image-0.26.0-cp311.whl (from x)", "looking at scikit_image"),
@@ -44,12 +49,10 @@ def test_a_line_of_pip_becomes_a_few_words(line, step):
 
 
 def test_without_a_terminal_there_are_a_few_short_lines(capsys, monkeypatch):
-    assert tasks.show_steps(pip_that_says(*SAID, code=0)) == 0
-    shown = capsys.readouterr().out.splitlines()
-    assert [line.partition(": ")[2] for line in shown] == [
-        "looking at numba",
-        "installing 3 packages, which takes a while",
-    ], "those in between came within five seconds"
+    for apart, shown in [(60.0, STEPS[:1]), (0.0, STEPS)]:
+        monkeypatch.setattr(tasks, "LINES_APART", apart)
+        assert tasks.show_steps(pip_that_says(*SAID, code=0)) == 0
+        assert without_seconds(capsys.readouterr().out.splitlines()) == shown
 
 
 def test_in_a_terminal_one_line_changes_and_is_gone_in_the_end(capsys, monkeypatch):
@@ -58,14 +61,22 @@ def test_in_a_terminal_one_line_changes_and_is_gone_in_the_end(capsys, monkeypat
     assert tasks.show_steps(pip_that_says(*SAID, code=0)) == 0
     out = capsys.readouterr().out
     states = out.split("\r")
-    assert [state.strip().partition(": ")[2] for state in states[1:4]] == [
-        "looking at numba",
-        "downloading numba (3.8 MB)",
-        "installing 3 packages, which takes a while",
-    ]
+    assert without_seconds(states[1:-2]) == STEPS
     assert {len(state) for state in states[1:-1]} == {59}, "each covers the one before"
     assert states[-2:] == [" " * 59, ""]
     assert "\n" not in out
+
+
+def test_seconds_go_on_where_pip_says_nothing(capsys, monkeypatch):
+    monkeypatch.setattr(tasks, "LINES_APART", 0.0)
+    with tasks.Steps() as steps:
+        steps.show("installing 34 packages")
+        steps.started -= 50
+        steps.write()
+    assert capsys.readouterr().out.splitlines()[:2] == [
+        "  0 s: installing 34 packages",
+        "  50 s: installing 34 packages",
+    ]
 
 
 def test_all_that_pip_said_is_shown_if_it_fails(capsys, monkeypatch):
