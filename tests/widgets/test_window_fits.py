@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QApplication, QScrollArea
 import napari_defocus
 from napari_defocus.widgets.defocus import DefocusWidget
 from napari_defocus.widgets.probe import ProbeWidget
+from napari_defocus.widgets.tabs import become_a_tab
 
 pytestmark = pytest.mark.display
 
@@ -54,7 +55,10 @@ def dock(viewer, widget, name):
 
 
 def undock(viewer, docked):
+    """Take a widget out of its dock, to be put into another one as if it were new."""
+    widget = docked.widget()
     viewer.__wrapped__.window.remove_dock_widget(docked)
+    become_a_tab(widget)
 
 
 def is_in_sight(widget):

@@ -7,24 +7,25 @@ _OURS = "napari_defocus_dock"
 
 
 class _Usher(QObject):
-    """Waits until a widget is put into a dock, and gives that a place before it is shown."""
+    """Waits until a widget is put into a dock, gives that a place before it is shown, and goes."""
 
     docked = Signal()
 
     def __init__(self, native: QWidget) -> None:
         super().__init__(native)
-        self._native = native
         # When the dock is in its window, and before Qt, which then queues showing it, makes room.
-        self.docked.connect(self._join, Qt.QueuedConnection)
+        self.docked.connect(self._give_place, Qt.QueuedConnection)
         native.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
         if event.type() == QEvent.ParentChange and isinstance(watched.parent(), QDockWidget):
+            watched.removeEventFilter(self)
             self.docked.emit()
         return False
 
-    def _join(self) -> None:
-        _join(self._native)
+    def _give_place(self) -> None:
+        _join(self.parent())
+        self.deleteLater()
 
 
 def become_a_tab(native: QWidget) -> None:
