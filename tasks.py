@@ -7,9 +7,12 @@ Needs nothing but Python; everything else is installed into .venv beside this fi
 import ctypes
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 # For whoever starts this with an older Python than the package takes.
@@ -24,6 +27,9 @@ BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 PYTHON = BIN / ("python.exe" if os.name == "nt" else "python")
 
 OLDEST_PIP = (25, 1)  # the first one that knows --group
+
+LINES_APART = 10.0
+"""Seconds between two lines about pip, where they do not replace each other."""
 
 PACKAGES_OF = {
     "demo": ["-e", "."],
@@ -134,7 +140,7 @@ def install(packages):
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + bytes(ROOT)).hexdigest()
     if any(stamp(name) == wanted for name in {packages, *ALSO_HELD_BY.get(packages, ())}):
         return
-    print(f"Installing into {VENV.name}; the first time this takes minutes.", flush=True)
+    print(f"Installing into {VENV.name}; the first time this takes a minute or more.", flush=True)
     stamp_path(packages).unlink(missing_ok=True)
     upgrade_pip()
     pip("install", *PACKAGES_OF[packages])
@@ -178,9 +184,98 @@ def upgrade_pip():
 
 
 def pip(*arguments):
-    options = "-qq", "--disable-pip-version-check"
-    if call(PYTHON, "-m", "pip", *options, *arguments) != 0:
+    if show_steps([PYTHON, "-m", "pip", "--disable-pip-version-check", *arguments]) != 0:
         sys.exit("tasks.py: pip failed, see above")
+
+
+def show_steps(command):
+    """Run pip and say what it is at; show all that it said only if it fails."""
+    said = []
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with (
+        Steps() as steps,
+        subprocess.Popen(command, text=True, errors="replace", **piped) as process,
+    ):
+        for line in process.stdout:
+            said.append(line)
+            step = step_of_pip(line)
+            if step is not None:
+                steps.show(step)
+    if process.returncode != 0:
+        print("".join(said), end="", flush=True)
+    return process.returncode
+
+
+def step_of_pip(line):
+    """Return what a line of pip says in few words, None if nothing new happens in it."""
+    first, _, rest = line.strip().partition(" ")
+    if first in {"Collecting", "Processing", "Obtaining"}:
+        return f"looking at {name_of_package(rest)}"
+    if first in {"Downloading", "Using"}:
+        return f"downloading {name_of_package(rest.removeprefix('cached '))}{size_in(rest)}"
+    if first in {"Building", "Preparing"}:
+        return "building"
+    if line.startswith("Installing collected packages:"):
+        count = line.count(",") + 1
+        return f"installing {count} package{'s' * (count > 1)}"
+    return None
+
+
+def name_of_package(text):
+    """Return the name at the beginning of a requirement, or in the path of a file."""
+    path = text.split(" (")[0].strip().rstrip("/")
+    return re.split(r"[<>=!~;\[ ]|-\d", re.split(r"[/\\]", path)[-1])[0]
+
+
+def size_in(text):
+    size = re.search(r"\([\d.]+ [kMG]?B\)", text)
+    return f" {size[0]}" if size else ""
+
+
+class Steps:
+    """What is done, and for how long: a line that changes, or without a terminal a few lines."""
+
+    def __init__(self):
+        self.changes = sys.stdout.isatty()
+        self.started, self.printed = time.monotonic(), -LINES_APART
+        self.step, self.ended, self.lock = "", threading.Event(), threading.Lock()
+
+    def __enter__(self):
+        threading.Thread(target=self.go_on, daemon=True).start()
+        return self
+
+    def __exit__(self, *_):
+        with self.lock:
+            self.ended.set()
+            if self.changes:
+                self.write_over("")
+                print("\r", end="", flush=True)
+
+    def show(self, step):
+        with self.lock:
+            self.step = step
+            self.write()
+
+    def go_on(self):
+        """Let the seconds go on where pip says nothing for long."""
+        while not self.ended.wait(1.0):
+            with self.lock:
+                if self.step and not self.ended.is_set():
+                    self.write()
+
+    def write(self):
+        now = time.monotonic()
+        line = f"  {now - self.started:.0f} s: {self.step}"
+        if self.changes:
+            self.write_over(line)
+        elif now - self.printed >= LINES_APART:
+            self.printed = now
+            print(line, flush=True)
+
+    def write_over(self, text):
+        """Write over the line that is there."""
+        width = shutil.get_terminal_size().columns - 1
+        print(f"\r{text[:width]:{width}}", end="", flush=True)
 
 
 def install_display_packages():

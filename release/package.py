@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -102,8 +101,8 @@ def use_installed(wheel):
 def use_terminal(python, folder):
     """Measure a picture with the terminal command."""
     command = program(python, "napari-defocus")
-    shutil.copy(SOURCE / "samples" / "brushes.jpg", folder)
     run(command, "--version", cwd=folder)
+    run(command, "sample", "brushes.jpg", "--name", "brushes", cwd=folder)
     run(command, "map", "brushes.jpg", "--stride", "8", cwd=folder)
     if not {"brushes-blur.tif", "brushes-blur.png"} <= {path.name for path in folder.iterdir()}:
         raise StepFailedError("napari-defocus map wrote no map")

@@ -21,6 +21,8 @@ from napari_defocus import (
 )
 from napari_defocus.other_process import run_elsewhere
 
+OWN_STEPS = other_process.STARTING, other_process.HANDING_OVER, other_process.LOADING
+
 
 @pytest.fixture(scope="module", autouse=True)
 def _none_is_left_over():
@@ -68,10 +70,17 @@ def test_result_and_reports_are_those_of_the_direct_call(function, candidates, p
     np.testing.assert_array_equal(found, expected)
     assert found.dtype == expected.dtype
     assert found.flags.writeable
-    assert elsewhere[0] == (other_process.FIRST_STEP, 0.0)
-    heard = dict.fromkeys(elsewhere)
-    del heard[elsewhere[0]]
+    heard = dict.fromkeys(report for report in elsewhere if report[0] not in OWN_STEPS)
     assert list(heard) == list(dict.fromkeys(direct))
+
+
+@pytest.mark.usefixtures("_none_is_kept")
+def test_steps_say_that_a_process_is_started_and_loaded_and_only_the_first_time():
+    for expected in (OWN_STEPS, (other_process.HANDING_OVER,)):
+        heard = []
+        run_elsewhere(errands.process_id, progress=lambda *report: heard.append(report))  # noqa: B023
+        assert [step for step, _ in dict.fromkeys(heard)] == list(expected)
+        assert {done for _, done in heard} == {0.0}
 
 
 def test_arrays_of_any_layout_arrive_and_may_be_changed_there():
@@ -100,14 +109,14 @@ def test_errors_come_back_with_type_message_and_origin(candidates, picture):
         run_elsewhere(errands.failing_oddly)
 
 
-@pytest.mark.parametrize("step", [other_process.FIRST_STEP, "at work"])
+@pytest.mark.parametrize("step", [other_process.HANDING_OVER, "at work"])
 def test_cancelling_ends_a_process_that_says_nothing(step):
     pid = run_elsewhere(errands.process_id)
     seen = []
 
     def cancel_later(name, done):
         seen.append(name)
-        if name == step and (step == other_process.FIRST_STEP or len(seen) > 10):
+        if name == step and (step == other_process.HANDING_OVER or len(seen) > 10):
             raise Cancelled
 
     with pytest.raises(Cancelled):

@@ -19,6 +19,7 @@ from napari_defocus import (
     explanation_commands,
     lens_commands,
     restoration_commands,
+    sample_commands,
     stack_commands,
 )
 from napari_defocus.commands import check_endings, last_lines, run
@@ -225,7 +226,7 @@ def segment_picture(
 @with_groups
 def demonstrate(
     folder: Annotated[
-        Path, typer.Argument(metavar="[FOLDER]", help="Where to write; made if missing.")
+        Path, typer.Argument(metavar="FOLDER", help="Where to write; made if missing.")
     ] = Path("demo-output"),
     *,
     psf: PSFText = MapSettings.psf,
@@ -250,7 +251,7 @@ def demonstrate(
         mask_settings = MaskSettings(threshold=usual_threshold(family))
         check_threshold(mask_settings.threshold, family.max_scale)
         files.check_results(outputs, force=True)
-        picture = files.read_picture(_sample())
+        picture = files.read_picture(sample_commands.sample_path("dandelion"))
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, None, first)
         found = label_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
@@ -332,12 +333,6 @@ def _mask(
     )
 
 
-def _sample() -> Path:
-    from importlib.resources import files
-
-    return Path(str(files("napari_defocus") / "samples" / "dandelion.jpg"))
-
-
 @contextmanager
 def _folder_for_results(folder: Path) -> Iterator[None]:
     """Make the folder; take it away again if it is new and the work fails."""
@@ -398,6 +393,7 @@ def _encoded_masks(
     return contents
 
 
+app.command("sample")(with_groups(sample_commands.sample))
 app.command("restore", cls=SettingsCommand)(with_groups(restoration_commands.restore))
 app.command("refocus", cls=SettingsCommand)(with_groups(restoration_commands.refocus))
 app.command("batch", cls=SettingsCommand)(with_groups(batch_commands.batch))

@@ -42,7 +42,10 @@ Message = list[memoryview]
 POLL_INTERVAL = 0.05
 """Seconds between two questions whether the result is still wanted."""
 
-FIRST_STEP = "Working in another process"
+STARTING = "Starting another process"
+HANDING_OVER = "Handing over the work"
+LOADING = "Loading the program"
+"""Steps before those of the function: each only where it takes its time."""
 
 _PIECE = 2**20
 """Bytes sent before the next such question: about a millisecond."""
@@ -157,12 +160,15 @@ class _Helper:
 
     def answer(self, request: Message, progress: Progress) -> tuple[str, Any]:
         """Send a request and return the answer that is no report."""
-        report = partial(progress, FIRST_STEP, 0.0)
+        if not self._has_started:
+            report = partial(progress, STARTING, 0.0)
+            report()
+            if self._next(report) is None:
+                self.end()
+                return "refused", None
+            self._has_started = True
+        report = partial(progress, HANDING_OVER, 0.0)
         report()
-        if not self._has_started and self._next(report) is None:
-            self.end()
-            return "refused", None
-        self._has_started = True
         self._send(request, report)
         self._is_working = True
         while (message := self._next(report)) is not None:
@@ -341,6 +347,9 @@ def serve() -> None:
         tell(_packed(("report", (step, done))))
 
     tell([memoryview(_READY)])
+    first = received.get()
+    tell(_packed(("report", (LOADING, 0.0))))  # a name of a function imports its module
+    tell(_result(first, report))
     while True:
         tell(_result(received.get(), report))
 

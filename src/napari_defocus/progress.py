@@ -1,12 +1,17 @@
 """How long-running functions say how far they are, and how they are stopped."""
 
 import math
+import time
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
 """Called as ``progress(step, done)``: the step's name in plain words, and the share of the
 whole call that is done, from 0 to 1. It runs in the calling thread. An exception that it
 raises ends the call and reaches the caller; raise `Cancelled` to stop on a user's wish."""
+
+
+COMPILING = "Compiling"
+"""How the name of a step begins in which numba compiles, once for this machine."""
 
 
 class Cancelled(Exception):
@@ -27,6 +32,35 @@ def within(progress: Progress, start: float, stop: float, name: str | None = Non
         progress(name or step, start + (stop - start) * done)
 
     return report
+
+
+class CompilationClock:
+    """A callback that hands reports on, and adds up the time that was spent compiling.
+
+    Parameters
+    ----------
+    progress : callable
+        What is called with every report.
+
+    Attributes
+    ----------
+    seconds : float
+        From each report of a step that compiles to the next report of another one.
+    """
+
+    def __init__(self, progress: Progress, now: Callable[[], float] = time.perf_counter) -> None:
+        self.seconds = 0.0
+        self._progress = progress
+        self._now = now
+        self._since: float | None = None
+
+    def __call__(self, step: str, done: float) -> None:
+        """Take a report, see `Progress`."""
+        now = self._now()
+        if self._since is not None:
+            self.seconds += now - self._since
+        self._since = now if step.startswith(COMPILING) else None
+        self._progress(step, done)
 
 
 def duration(seconds: float) -> str:

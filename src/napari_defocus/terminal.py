@@ -72,20 +72,35 @@ def _complain(message: str) -> None:
 
 @contextmanager
 def progress_in_terminal(quiet: bool) -> Iterator[Progress]:
-    """Lend a callback that draws a bar on standard error if that is a terminal, else nothing."""
+    """Lend a callback that draws a bar on standard error if that is a terminal, else nothing.
+
+    The step's name is last: long and short ones do not move the bar. The seconds go on where a step
+    says nothing for long.
+    """
     if quiet or not sys.stderr.isatty():
         yield silent
         return
     from rich import progress
     from rich.console import Console
 
-    columns = progress.TextColumn("{task.description}"), progress.BarColumn()
     bar = progress.Progress(
-        *columns, progress.TaskProgressColumn(), console=Console(stderr=True), transient=True
+        progress.BarColumn(),
+        progress.TaskProgressColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TextColumn("{task.description}", markup=False),
+        console=Console(stderr=True),
+        transient=True,
     )
     with bar:
-        task = bar.add_task("reading", total=1.0)
-        yield lambda step, done: bar.update(task, description=step, completed=done)
+        task = bar.add_task("Starting", total=1.0)
+        bar.refresh()
+
+        def report(step: str, done: float) -> None:
+            # A new step is drawn at once: its work may let nothing else run.
+            is_new = step != bar.tasks[0].description
+            bar.update(task, description=step, completed=done, refresh=is_new)
+
+        yield report
 
 
 def print_result(text: str) -> None:

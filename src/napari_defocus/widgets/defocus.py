@@ -48,6 +48,8 @@ class DefocusWidget(DefocusPanel):
     restore_button, depth_button : magicgui.widgets.PushButton
     """
 
+    ROLLED = False  # its pages are, so that its buttons stay in sight
+
     def __init__(self, napari_viewer: ViewerModel) -> None:
         self.pages = Pages()
         self.restoration = RestorationForm()
@@ -106,10 +108,9 @@ class DefocusWidget(DefocusPanel):
                 *(self.tools.load_settings, self.tools.save_settings),
             ],
         )
-        layout = self.native.layout()
-        layout.addWidget(self.pages.native)
-        layout.addWidget(self.tools.native)
-        layout.addStretch(1)
+        self.rows.addWidget(self.pages.native)
+        self.rows.addWidget(self.tools.native)
+        self.rows.addStretch(1)
         self.depth.wrap_note()
         self.status.value = _FIRST_STEPS
 

@@ -68,7 +68,7 @@ class FocusCurveWidget(RunPanel):
         fields = self.form.fields()
         self._finish_form([*fields, self.best_button, self.save_button])
         self.plot = CurvePlot(napari_viewer.theme)
-        self.native.layout().insertWidget(len(fields), self.plot, 1)
+        self.rows.insertWidget(len(fields), self.plot, 1)
         self._wire()
 
     def _wire(self) -> None:

@@ -22,6 +22,7 @@ from napari_defocus.widgets.probing import (
 )
 from napari_defocus.widgets.results import made_by_us
 from napari_defocus.widgets.run_panel import wrap
+from napari_defocus.widgets.tabs import become_a_tab
 from napari_defocus.widgets.window_outline import WindowOutline
 
 INTERVAL = 40
@@ -91,6 +92,7 @@ class ProbeWidget(Container[Widget]):
         self._timer.setSingleShot(True)
         self._timer.timeout.connect(lambda: self.refresh())
         when_destroyed(self.native, self, lambda probe: probe.stop())
+        become_a_tab(self.native)
         self.image.changed.connect(lambda _: self.refresh())
         self.outlined.changed.connect(lambda _: self.refresh())
         self.reset_choices()

@@ -2,17 +2,19 @@
 
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from magicgui.widgets import Container, Label, ProgressBar, PushButton, Widget
 from napari.components import ViewerModel
 from napari.utils.notifications import show_error
 from qtpy.QtCore import Qt, QTimer
-from qtpy.QtWidgets import QLabel, QSizePolicy, QWidget
+from qtpy.QtWidgets import QBoxLayout, QLabel, QSizePolicy, QWidget
 
 from napari_defocus.other_process import end_idle
 from napari_defocus.widgets.destruction import when_destroyed
 from napari_defocus.widgets.layers import Plane
+from napari_defocus.widgets.rolled import roll
+from napari_defocus.widgets.tabs import become_a_tab
 from napari_defocus.widgets.workers import STEPS, Run
 
 LABEL_PADDING = 16
@@ -38,7 +40,12 @@ class RunPanel(Container[Widget]):
     Attributes
     ----------
     run_button, cancel_button, progress_bar, status : magicgui widgets
+    rows : QBoxLayout
+        What the form's rows lie in.
     """
+
+    ROLLED: ClassVar[bool] = True
+    """Whether the form is rolled where there is no room for all of it."""
 
     def __init__(self, napari_viewer: ViewerModel, *, action: str) -> None:
         self._viewer = napari_viewer
@@ -67,6 +74,10 @@ class RunPanel(Container[Widget]):
         self.progress_bar.hide()
         wrap(self.status)
         widen_labels(self.native)
+        self.rows: QBoxLayout = self.native.layout()
+        if self.ROLLED:
+            roll(self.native)
+        become_a_tab(self.native)
         when_destroyed(self.native, self, lambda panel: panel._on_closed())
 
     def run(self) -> Run | None:

@@ -141,8 +141,9 @@ class Tools:
         window = getattr(self._viewer, "window", None)
         if window is None:
             return widget_class(self._viewer)
-        # Behind one another: docks below each other outgrow small windows.
-        _, widget = window.add_plugin_dock_widget("napari-defocus", name, tabify=True)
+        dock, widget = window.add_plugin_dock_widget("napari-defocus", name, tabify=True)
+        dock.show()
+        dock.raise_()  # it may be there already, behind another tab
         return widget
 
     def toggle_3d(self) -> Run | None:

@@ -1,0 +1,174 @@
+"""What README.md prints works as it is printed, in that order, for whoever copies it."""
+
+import re
+import shlex
+import tomllib
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import dask.array
+import numpy as np
+import pytest
+import tifffile
+from command_line import names_in, run
+from PIL import Image
+
+import napari_defocus
+from napari_defocus import Settings, cluster, sample_commands, simulate_defocus
+from napari_defocus.ome_zarr_writer import new_ome_zarr
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+PART = 300, 40, 644, 164
+"""Of the bundled photograph: left, top, right, bottom; row 120 and column 340 are still in it."""
+
+PLACE = "120, 340", "120, 100"
+"""Row and column in README.md, and in half of the part."""
+
+NOT_HERE = {".", "python3", "pip", "napari"}
+"""Programs that are not started here: they install, or open a window."""
+
+
+def blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.M | re.S)
+
+
+def lines_of_shell():
+    """Return every command for a shell, in blocks of their own or indented."""
+    lines = re.findall(r"^```sh\n(.*?)^```|^    (napari-defocus [^\n]*)$", README, re.M | re.S)
+    whole = "\n".join(fenced or indented for fenced, indented in lines)
+    return [line for line in whole.splitlines() if line.strip()]
+
+
+LINES = lines_of_shell()
+COMMANDS = [line for line in LINES if line.startswith("napari-defocus ")]
+
+
+def words_of(line, folder):
+    """Return the words that a shell in a folder makes of a line; absolute paths lead into it."""
+    words = []
+    for word in shlex.split(line, comments=True):
+        if word.startswith("/"):
+            words.append(f"{folder}{word}")
+        elif "*" in word and f"'{word}'" not in line:
+            words += sorted(path.name for path in folder.glob(word))
+        else:
+            words.append(word)
+    return words
+
+
+@pytest.fixture
+def small_sample(tmp_path, monkeypatch):
+    """Let the bundled photograph be a part of itself; returns the part."""
+    with Image.open(sample_commands.sample_path("dandelion")) as whole:
+        part = whole.crop(PART)
+    part.save(tmp_path / "sample.jpg", quality=95)
+    monkeypatch.setattr(sample_commands, "sample_path", lambda _: tmp_path / "sample.jpg")
+    return part
+
+
+def lamps():
+    """Return pictures of a point of light, blurred by 1 to 8 px."""
+    point = np.zeros((64, 64), np.float32)
+    point[32, 32] = 0.9
+    return [simulate_defocus(point, np.full(point.shape, radius)) for radius in range(1, 9)]
+
+
+def save_as_bytes(picture, path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.rint(230 * picture / picture.max()).astype(np.uint8)).save(path)
+
+
+@pytest.fixture
+def own_files(tmp_path, small_sample, gravel, defocused):
+    """The files that README.md says are the reader's own."""
+    width, height = small_sample.size
+    marks = np.zeros((height, width), np.uint8)
+    marks[60:70, 40:50], marks[5:15, 5:15] = 1, 2
+    Image.fromarray(marks).save(tmp_path / "marks.png")
+    for number, lamp in enumerate(lamps(), 1):
+        save_as_bytes(lamp, tmp_path / f"lamp-{number}.png")
+    for name in ("photos/one.png", "day1/plate/a.tif", "day2/b.tif", "slides/c.png"):
+        save_as_bytes(gravel[:64, :80], tmp_path / name)
+    planes = [defocused(gravel[:64, :80], abs(plane - 1.5)) for plane in range(4)]
+    stack = np.clip(255 * np.stack(planes), 0, 255).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "worm.tif", stack, photometric="minisblack")
+    writer = new_ome_zarr(
+        tmp_path / "worm.ome.zarr", shape=stack.shape, dtype="u1", axes="zyx", attributes={}
+    )
+    writer.write_region((slice(None),) * 3, stack)
+    writer.finish()
+    (tmp_path / "shared").mkdir()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Leave out what takes long and is tested elsewhere: restoring, and starting processes."""
+
+    def unchanged(image, *_, **__):
+        return np.asarray(image, np.float32) / 255
+
+    for name in ("restore_all_in_focus", "change_focus"):
+        monkeypatch.setattr(napari_defocus, name, unchanged)
+    here = cluster.in_this_process
+    monkeypatch.setattr(cluster, "dask_client", lambda _address=None, **_: here())
+
+
+@pytest.mark.usefixtures("own_files", "quick")
+def test_the_commands_of_the_terminal_do_what_they_say_one_after_the_other(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert len(COMMANDS) >= 20
+    for line in COMMANDS:
+        done = run(*words_of(line, tmp_path)[1:])
+        assert done.exit_code == 0, f"{line}\n{done.output}"
+    written = set(names_in(tmp_path))
+    promised = set(re.findall(r"photo-[\w-]+\.\w+", README)) | {"regions.csv", "curve.png"}
+    assert len(promised) >= 9
+    assert promised <= written
+    assert (tmp_path / "measured" / "table.csv").is_file()
+
+
+def test_programs_that_are_named_are_those_that_an_installation_has():
+    programs = {shlex.split(line, comments=True)[0] for line in LINES}
+    assert programs - NOT_HERE == {"napari-defocus"}
+    scripts = {each.name for each in entry_points(group="console_scripts")}
+    assert "napari-defocus" in scripts
+    assert LINES.index(". .venv/bin/activate") < LINES.index(COMMANDS[0]), "or it is not found"
+    assert {line.split()[2] for line in LINES if line.startswith("python3 tasks.py")} == {
+        "demo",
+        "test",
+    }
+
+
+def test_pip_installs_this_clone_and_extras_that_there_are():
+    installs = [line for line in LINES if line.startswith("pip ")]
+    assert len(installs) >= 2
+    for line in installs:
+        [extra] = re.fullmatch(r'pip install -e "\.\[(\w+)\]"( +#.*)?', line).groups()[:1]
+        assert extra in PROJECT["optional-dependencies"]
+
+
+def test_the_scripts_run_one_after_the_other(tmp_path, small_sample, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Settings().save("defocus.json")
+    image = np.asarray(small_sample)[:, 150:300]
+    texture = np.random.default_rng(0).uniform(0.1, 0.9, (96, 128)).astype(np.float32)
+    names = {
+        "__name__": "readme",
+        "image": image,
+        "seeds": np.zeros(image.shape[:2], np.uint8),
+        "blur_maps": np.full((3, 48, 64), 2.0, np.float32),
+        "pictures_of_a_point_source": lamps(),
+        "stack": texture[None, None, :64, :80].repeat(2, axis=0),
+        "slide": dask.array.from_array(texture, chunks=64),
+    }
+    names["seeds"][60:70, 40:50] = 1
+    written = blocks("python")
+    assert len(written) >= 6
+    for block in written:
+        exec(compile(block.replace(*PLACE), "README.md", "exec"), names)
+    assert names["depth"].shape == names["sharp"].shape[:2] == image.shape[:2]
+    assert names["blur_maps"].shape == names["confidence"].shape == names["stack"].shape
+    assert "lens.npz" in names_in(tmp_path)
