@@ -40,7 +40,7 @@ from napari_defocus.batch_sources import (
 )
 from napari_defocus.batch_table import FAILED, Row, in_csv, in_json_lines
 from napari_defocus.cluster import Job, in_this_process, outcomes
-from napari_defocus.files import UnwritableResult, write_results
+from napari_defocus.files import NeedsForce, UnwritableResult, write_results
 from napari_defocus.lazy_arrays import need_large_extra
 from napari_defocus.progress import Cancelled, Progress, duration, silent
 from napari_defocus.settings import (
@@ -241,9 +241,9 @@ def _refuse_changed(inputs: list[BatchInput], folder: BatchFolder) -> None:
     changes = [each.change for each in inputs if each.change]
     if changes:
         more = f", and so have {len(changes) - 1} others" if len(changes) > 1 else ""
-        raise UnwritableResult(
-            f"cannot go on with {folder.path}: inputs have changed ({changes[0]}{more}); "
-            "give another folder, or force to measure them again"
+        raise NeedsForce(
+            f"cannot go on with {folder.path}: inputs have changed: {changes[0]}{more}",
+            "give another folder, or {force} to measure them again",
         )
 
 

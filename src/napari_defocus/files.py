@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from struct import unpack
 from typing import Any
@@ -33,6 +35,38 @@ class UnreadablePicture(ValueError):
 
 class UnwritableResult(OSError):
     """A result cannot be written; the message is one line with the path and the reason."""
+
+
+class NeedsForce(UnwritableResult):
+    """Something may only be overwritten if the caller says so.
+
+    Parameters
+    ----------
+    problem : str
+        What is in the way.
+    remedy : str
+        What saying so does; `{force}` stands for how it is said.
+
+    Examples
+    --------
+    >>> refused = NeedsForce("cannot write a.tif: it exists already", "{force} overwrites it")
+    >>> str(refused)
+    'cannot write a.tif: it exists already (force=True overwrites it)'
+    >>> refused.told("--force")
+    'cannot write a.tif: it exists already (--force overwrites it)'
+    """
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        self.problem, self.remedy = problem, remedy
+        super().__init__(self.told("force=True"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let it come back from another process."""
+        return type(self), (self.problem, self.remedy)
+
+    def told(self, force: str) -> str:
+        """Return the message as those read it who say `force` in their own way."""
+        return f"{self.problem} ({self.remedy.format(force=force)})"
 
 
 def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
@@ -301,20 +335,24 @@ def check_results(
     TypeError
         If `force` is neither True nor False.
     UnwritableResult
-        If the folder of a result is missing or takes no new file, a result exists and `force`
-        is not set, it is a folder, a device or `source`, or two results are one file.
+        If the folder of a result is missing or takes no new file, it is a folder, a device or
+        `source`, or two results are one file.
+    NeedsForce
+        If a result exists and `force` is not set.
     """
     check_flag("force", force)
     seen: set[Path] = set()
     for path in paths:
         target = path.resolve()
-        refusal = "it is given twice" if target in seen else _refusal(target, force, source)
+        refusal = "it is given twice" if target in seen else _refusal(target, source)
         if refusal:
             raise UnwritableResult(f"cannot write {path}: {refusal}")
+        if target.exists() and not force:
+            raise NeedsForce(f"cannot write {path}: it exists already", "{force} overwrites it")
         seen.add(target)
 
 
-def _refusal(target: Path, force: bool, source: Path | None) -> str | None:
+def _refusal(target: Path, source: Path | None) -> str | None:
     if not target.parent.is_dir():
         return f"there is no folder {target.parent}"
     if target.is_dir():
@@ -324,8 +362,6 @@ def _refusal(target: Path, force: bool, source: Path | None) -> str | None:
             return "it is no regular file"
         if source is not None and source.exists() and target.samefile(source):
             return "it is a file that is read"
-        if not force:
-            return "it exists already (force overwrites it)"
     return _creation_failure(target.parent)
 
 
@@ -347,8 +383,8 @@ def unused_name(folder: Path) -> Path:
 def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> None:
     """Write files that belong together: all of them whole, or none.
 
-    Every file is written and synchronised under a temporary name in its own folder first;
-    then all get their names.
+    Every file is written and synchronised under a temporary name in its own folder first, and
+    what it replaces is kept there, too; then all get their names.
 
     Parameters
     ----------
@@ -360,21 +396,68 @@ def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> Non
     Raises
     ------
     UnwritableResult
-        For the reasons of `check_results`, or if writing fails, for instance because the disk
-        is full. No temporary file stays behind, and files that existed are as they were.
+        For the reasons of `check_results`, or if writing or renaming fails, for instance because
+        the disk is full. No temporary file stays behind, and files that existed are as they
+        were. So it is after an interruption, too.
     """
     check_results(contents, force=force)
-    parts = {path: unused_name(path.resolve().parent) for path in contents}
+    swaps = [_Swap.at(path) for path in contents]
     try:
-        for path, part in parts.items():
-            _write_through(part, contents[path])
-        for path, part in parts.items():
-            part.replace(path.resolve())
-    except OSError as error:
-        raise UnwritableResult(f"cannot write {path}: {_in_one_line(error)}") from error
+        for swap in swaps:
+            _write_through(swap.part, contents[swap.path])
+        for swap in swaps:
+            swap.keep_old()
+        for swap in swaps:
+            swap.part.replace(swap.target)
+    except BaseException as error:
+        for done in swaps:
+            done.undo()
+        if isinstance(error, OSError):
+            reason = _in_one_line(error)
+            raise UnwritableResult(f"cannot write {swap.path}: {reason}") from error
+        raise
     finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
+        for swap in swaps:
+            swap.clean_up()
+
+
+@dataclass
+class _Swap:
+    """A file that gets a new content, and can get the old one back.
+
+    `old` is another name of what was there; where a file system has no second names, a copy.
+    """
+
+    path: Path
+    target: Path
+    part: Path
+    old: Path
+    written: bool = False
+
+    @classmethod
+    def at(cls, path: Path) -> _Swap:
+        target = path.resolve()
+        return cls(path, target, unused_name(target.parent), unused_name(target.parent))
+
+    def keep_old(self) -> None:
+        if self.target.exists():
+            try:
+                os.link(self.target, self.old)
+            except OSError:
+                shutil.copy2(self.target, self.old)
+        self.written = True
+
+    def undo(self) -> None:
+        if not self.written or self.part.exists():
+            return
+        if self.old.exists():
+            self.old.replace(self.target)
+        else:
+            self.target.unlink(missing_ok=True)
+
+    def clean_up(self) -> None:
+        self.part.unlink(missing_ok=True)
+        self.old.unlink(missing_ok=True)
 
 
 def _write_through(path: Path, content: bytes) -> None:
