@@ -6,6 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from struct import unpack
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from napari_defocus.settings import check_flag
+from napari_defocus.tiff_series import picture_number, told_choice
 
 PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
 """What Pillow may decode; some of its other formats start programs (EPS) or have no pixels."""
@@ -73,12 +75,13 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     """Read one picture, at its full depth and upright.
 
     The content decides how it is read, not the name. Palettes and CMYK become RGB, grey with
-    opacity becomes RGBA, and the orientation that a camera noted (EXIF) is applied.
+    opacity becomes RGBA, and the orientation that a camera noted (EXIF) is applied. Of a slide,
+    the largest level is read, see `told_choice_in`.
 
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF, WebP or BMP file.
+        A PNG, JPEG, TIFF, WebP or BMP file; slides of many makers are TIFF.
 
     Returns
     -------
@@ -89,8 +92,8 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     ------
     UnreadablePicture
         If there is no such file, it holds no picture, is cut off or damaged, holds more than
-        one plane or picture, has an unknown colour model, or has more pixels than Pillow
-        accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
+        one plane, or several pictures of which none is clearly the one, has an unknown colour
+        model, or has more pixels than Pillow accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
 
     Examples
     --------
@@ -108,6 +111,21 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     # Decoders raise whatever the damaged bytes led them into: struct.error, SyntaxError, ...
     except Exception as error:
         raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+
+
+def told_choice_in(path: str | os.PathLike[str]) -> str:
+    """Return in words what `read_picture` takes of a file that holds more; else "".
+
+    That is of slides, such as "the largest of 4 levels; left out: label of 600 x 400 px".
+    """
+    import tifffile
+
+    # What is wrong with a file is told when it is read.
+    with suppress(Exception), Path(path).open("rb") as file:
+        if file.read(4).startswith(TIFF_STARTS):
+            with tifffile.TiffFile(path) as tiff:
+                return told_choice(tiff)
+    return ""
 
 
 def picture_form(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -193,7 +211,7 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
     import tifffile
 
     with tifffile.TiffFile(path) as tiff:
-        series = _only_series(tiff)
+        series = _single_plane(tiff)
         page = series.keyframe
         if planes_are_missing(tiff, series) or cut_off(page, tiff.filehandle.size):
             raise ValueError("the file is cut off")
@@ -204,10 +222,8 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
         return tiff_colors(pixels, page), int(orientation)
 
 
-def _only_series(tiff: Any) -> Any:
-    if len(tiff.series) != 1:
-        raise ValueError(f"it holds {len(tiff.series)} pictures; a single one is read")
-    series = tiff.series[0]
+def _single_plane(tiff: Any) -> Any:
+    series = tiff.series[picture_number(tiff)]
     if series.axes not in ("YX", "YXS", "SYX"):
         shape = " x ".join(map(str, series.shape))
         raise ValueError(
@@ -221,7 +237,10 @@ def _only_series(tiff: Any) -> Any:
 def _refuse_bomb(pixels: int) -> None:
     limit = Image.MAX_IMAGE_PIXELS
     if limit is not None and pixels > 2 * limit:
-        raise ValueError(f"it has {pixels} pixels; up to {2 * limit} are read")
+        raise ValueError(
+            f"it has {pixels} pixels; up to {2 * limit} are read at once "
+            "(napari-defocus batch measures larger ones part by part)"
+        )
 
 
 def cut_off(page: Any, size: int) -> bool:

@@ -159,9 +159,10 @@ def sharpest_plane(
     TypeError
         If `stack` holds no real numbers; if `channel` or `time` is no whole number.
     ValueError
-        If `stack` has other axes, channels or times of which none is chosen, less than two planes, a side below 3 px, or a plane with NaN
-        or infinite values; if `axes` and `channel_axis` do not fit it, or both are given; if
-        `px_per_plane` is not above 0; and as in `estimate_candidates` and `label_blur_map`.
+        If `stack` has other axes, channels or times of which none is chosen, less than two
+        planes, a side below 3 px, or a plane with NaN or infinite values; if `axes` and
+        `channel_axis` do not fit it, or both are given; if `px_per_plane` is not above 0; and as
+        in `estimate_candidates` and `label_blur_map`.
 
     Notes
     -----
