@@ -94,7 +94,7 @@ def focus_axis(
     >>> focus_axis((2, 7, 90, 140), "czyx")
     Traceback (most recent call last):
         ...
-    ValueError: stack has 2 along c; channel chooses one
+    ValueError: stack has 2 along c and 7 along z; channel chooses one
     """
     sizes = {letter: size for letter, size in zip(roles, shape, strict=True) if letter not in "yxs"}
     stays = {letter: 0 for letter, size in sizes.items() if size == 1}
@@ -116,7 +116,7 @@ def _check_choice(argument: str, given: Any, letter: str, size: int, name: str) 
     if size == 0:
         raise ValueError(f"{argument} is {given}; {name} has no axis {letter} to choose from")
     if not 0 <= given < size:
-        raise ValueError(f"{argument} is {given}; {name} has {size} along {letter}, from 0")
+        raise ValueError(f"{argument} is {given}; {name} has {size} along {letter}, counted from 0")
 
 
 def _unclear(left: dict[str, int], said: Callable[[str], str]) -> str:
