@@ -16,6 +16,9 @@ COLORS = (1, 3, 4)
 CHOSEN_BY = {"c": "channel", "t": "time"}
 """Axes of which one position is chosen, and the arguments that choose it."""
 
+_LETTER_OF_NAME = dict.fromkeys(("c", "ch", "channel", "channels"), "c")
+_LETTER_OF_NAME |= dict.fromkeys(("t", "time", "times"), "t")
+
 _UNNAMED = "iq"
 """What tifffile calls axes of pages of which a file says nothing."""
 
@@ -108,6 +111,17 @@ def focus_axis(
     (letter,) = left
     index = tuple(stays.get(role, slice(None)) for role in roles)
     return FocusAxis(letter, roles.index(letter), index)
+
+
+def known_axis(name: str) -> str:
+    """Return c or t if an axis of this name is that of channels or times, else "".
+
+    Examples
+    --------
+    >>> known_axis("Channel"), known_axis("t"), known_axis("chi")
+    ('c', 't', '')
+    """
+    return _LETTER_OF_NAME.get(name.strip().lower(), "")
 
 
 def _check_choice(argument: str, given: Any, letter: str, size: int, name: str) -> None:
