@@ -444,6 +444,24 @@ def test_interruption_right_after_a_renaming_counts(tmp_path, monkeypatch):
     assert everything_in(tmp_path) == {"a": b"old"}
 
 
+def test_what_cannot_be_put_back_is_kept_and_told(tmp_path, monkeypatch):
+    for name in "ab":
+        (tmp_path / name).write_bytes(f"old {name}".encode())
+    calls, replace = iter(range(1, 99)), Path.replace
+
+    def fails_from_the_second_time_on(path, target):
+        if next(calls) > 1:
+            raise OSError(errno.EIO, "I/O error")
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", fails_from_the_second_time_on)
+    with pytest.raises(UnwritableResult, match=f"I/O error; {tmp_path / 'a'} was ") as refused:
+        write_results({tmp_path / "a": b"new", tmp_path / "b": b"new"}, force=True)
+    kept = Path(str(refused.value).rpartition(" was ")[2])
+    assert kept.read_bytes() == b"old a"
+    assert everything_in(tmp_path) == {"a": b"new", "b": b"old b", kept.name: b"old a"}
+
+
 def test_refusal_says_how_the_caller_may_overwrite(tmp_path):
     (tmp_path / "{a}").touch()
     with pytest.raises(NeedsForce, match=r"\(force=True overwrites it\)$") as refused:

@@ -18,7 +18,7 @@ from microscope_files import (
 
 import napari_defocus
 from napari_defocus.sources import open_source, open_stack
-from napari_defocus.tiff_stacks import made_by
+from napari_defocus.tiff_stacks import made_by, write_pyramidal_tiff
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +81,13 @@ def test_what_cannot_be_done_is_said_first(stack, monkeypatch, arguments, saying
 def test_single_plane_is_refused(stack, planes):
     tifffile.imwrite(stack, planes[0])
     assert_fails_in_one_line(run("sharpest", stack), saying="has a single plane")
+
+
+def test_stack_of_blur_maps_is_no_stack_through_focus(tmp_path, planes):
+    path = tmp_path / "worm-blur.ome.tif"
+    about = {"quantity": "defocus blur radius"}
+    write_pyramidal_tiff(path, planes.astype(np.float32), axes="zyx", description=about)
+    assert_fails_in_one_line(run("sharpest", path), saying="a result of napari-defocus (defocus b")
 
 
 # --- which axis is that of the focus --------------------------------------------------------

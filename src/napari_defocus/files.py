@@ -429,15 +429,17 @@ def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> Non
         for swap in swaps:
             swap.part.replace(swap.target)
     except BaseException as error:
-        for done in swaps:
-            done.undo()
+        stuck = [each for each in swaps if not each.undo()]
         if isinstance(error, OSError):
-            reason = _in_one_line(error)
-            raise UnwritableResult(f"cannot write {swap.path}: {reason}") from error
+            told = [_in_one_line(error), *(f"{each.path} was {each.old}" for each in stuck)]
+            raise UnwritableResult(f"cannot write {swap.path}: {'; '.join(told)}") from error
         raise
+    else:
+        for swap in swaps:
+            swap.old.unlink(missing_ok=True)
     finally:
         for swap in swaps:
-            swap.clean_up()
+            swap.part.unlink(missing_ok=True)
 
 
 @dataclass
@@ -451,7 +453,7 @@ class _Swap:
     target: Path
     part: Path
     old: Path
-    written: bool = False
+    ready: bool = False
 
     @classmethod
     def at(cls, path: Path) -> _Swap:
@@ -464,19 +466,20 @@ class _Swap:
                 os.link(self.target, self.old)
             except OSError:
                 shutil.copy2(self.target, self.old)
-        self.written = True
+        self.ready = True
 
-    def undo(self) -> None:
-        if not self.written or self.part.exists():
-            return
-        if self.old.exists():
-            self.old.replace(self.target)
-        else:
-            self.target.unlink(missing_ok=True)
-
-    def clean_up(self) -> None:
-        self.part.unlink(missing_ok=True)
-        self.old.unlink(missing_ok=True)
+    def undo(self) -> bool:
+        """Put back what was there; return whether that went well."""
+        try:
+            if not self.ready or self.part.exists():
+                self.old.unlink(missing_ok=True)
+            elif self.old.exists():
+                self.old.replace(self.target)
+            else:
+                self.target.unlink(missing_ok=True)
+        except OSError:
+            return False
+        return True
 
 
 def _write_through(path: Path, content: bytes) -> None:

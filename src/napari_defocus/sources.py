@@ -234,9 +234,9 @@ def open_stack(inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str]
     """
     need_large_extra()
     given = [Path(one) for one in ([inputs] if isinstance(inputs, str | os.PathLike) else inputs)]
-    if len(given) == 1 and (given[0].is_file() or is_zarr(given[0])):
-        return open_source(given[0])
     files = sorted(find_sources(given), key=naturally)
+    if len(given) == 1 and files == given:
+        return open_source(given[0])
     if not files:
         raise UnreadablePicture("cannot read a stack: there are no files")
     place = given[0] if len(given) == 1 and given[0].is_dir() else files[0]

@@ -75,6 +75,8 @@ def _candidates(series: list[Any]) -> list[int]:
 
 def _described(series: Any) -> str:
     name = str(series.name).strip().lower()
+    if not {"Y", "X"} <= set(series.axes):
+        return f"{' x '.join(map(str, series.shape))} (axes {series.axes})"
     height, width = (series.shape[series.axes.index(axis)] for axis in "YX")
     size = f"{width} x {height} px"
     planes = prod(series.shape) // (height * width)

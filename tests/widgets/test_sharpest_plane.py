@@ -159,6 +159,11 @@ def labelled(viewer, sweep, axes):
     return viewer.add_image(values, name="stack", axis_labels=tuple(axes.lower()))
 
 
+def test_times_are_taken_for_planes_with_a_word(viewer, sweep):
+    layer = viewer.add_image(sweep, name="sweep", axis_labels=("time", "y", "x"))
+    assert "“time” was taken for focus" in found_of(viewer, layer, 0).summary
+
+
 def is_shown(field):
     return not field.native.isHidden()
 

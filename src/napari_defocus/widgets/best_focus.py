@@ -81,7 +81,7 @@ class BestFocus:
         self.settings.family()
         if not isinstance(self.plane.index[self.axis], int):
             raise NotAnalysableError("the focus must change along a slider of it.")
-        if known_axis(self.plane.placement["axis_labels"][self.axis]) == "c":
+        if known_axis(self._label_of_axis) == "c":
             raise NotAnalysableError(CHANNELS_ONLY)
         if self.count < 2:
             raise NotAnalysableError("it has a single plane there; two or more are compared.")
@@ -91,6 +91,10 @@ class BestFocus:
                 "the field empty to have it found."
             )
         check_pixels(self.plane.shape)
+
+    @property
+    def _label_of_axis(self) -> str:
+        return str(self.plane.placement["axis_labels"][self.axis])
 
     @property
     def count(self) -> int:
@@ -214,6 +218,8 @@ class BestFocus:
             lines.append("There is no texture to find by how much the blur grows.")
         sure = (found.confidence >= CONFIDENT).mean()
         lines.append(f"Confidence {CONFIDENT:g} or more on {sure:.0%}")
+        if known_axis(self._label_of_axis) == "t":
+            lines.append(f"“{self._label_of_axis}” was taken for focus")
         return "\n".join(lines)
 
 
