@@ -36,9 +36,11 @@ def run_batch(address, *arguments):
 
 
 def test_workers_of_a_scheduler_write_what_this_process_does(pictures, address):
+    for name in ("notes.txt", "more.txt", "scan.czi"):
+        (pictures / name).touch()
     result = run_batch(address, "--confidence", "--mask")
     assert result.exit_code == 0, result.output
-    assert "2 of 2 measured" in result.stdout
+    assert "2 of 2 measured\nleft out     2 .txt, 1 .czi\n" in result.stdout
     assert result.stderr == ""
     wanted = {"confidence": True, "mask": True}
     settings = Settings(map=MapSettings(stride=8))
@@ -62,7 +64,7 @@ def test_what_failed_is_counted_in_one_line_and_by_the_exit_code(pictures, addre
     result = run_batch(address, "--json")
     assert result.exit_code == batch_commands.SOME_FAILED
     facts = json.loads(result.stdout)
-    assert (facts["planes"], facts["failed"]) == (3, 1)
+    assert (facts["planes"], facts["failed"], facts["left_out"]) == (3, 1, {})
     assert result.stderr == "napari-defocus: 1 could not be measured; the table says why\n"
     rows = (pictures.parent / "out" / "table.csv").read_text().splitlines()
     assert rows[1].startswith('pictures/bad.png,,failed,"cannot read pictures/bad.png: it')
@@ -120,4 +122,5 @@ def test_what_cannot_be_done_is_said_in_one_line(pictures, arguments, saying):
 def test_other_settings_than_before_are_said_in_one_line(pictures, address):
     assert run_batch(address).exit_code == 0
     result = run_batch(address, "--window", 31)
-    assert_fails_in_one_line(result, saying="window was 41 and is 31")
+    saying = "window was 41 and is 31 (give another folder, or --force to measure all of it again)"
+    assert_fails_in_one_line(result, saying=saying)

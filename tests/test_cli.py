@@ -153,7 +153,7 @@ def test_table_of_regions_is_a_csv_and_not_written_over_another(picture, instant
     assert_fails_in_one_line(result, saying=saying)
     picture.with_name("regions.csv").write_text("mine")
     result = run("segment", picture, "--regions", picture.with_name("regions.csv"))
-    assert_fails_in_one_line(result, saying="it exists already")
+    assert_fails_in_one_line(result, saying="it exists already (--force overwrites it)")
     assert not instant
     assert picture.with_name("regions.csv").read_text() == "mine"
 

@@ -3,9 +3,11 @@
 import errno
 import io
 import os
+import pickle
 import struct
 import zlib
 from contextlib import suppress
+from pathlib import Path
 
 import imagecodecs
 import numpy as np
@@ -14,6 +16,7 @@ import tifffile
 from PIL import Image, ImageOps
 
 from napari_defocus.files import (
+    NeedsForce,
     UnreadablePicture,
     UnwritableResult,
     check_results,
@@ -389,6 +392,84 @@ def test_interrupted_writing_leaves_everything_as_it_was(tmp_path, monkeypatch):
     assert everything_in(tmp_path) == {}
 
 
+def fail_at(number, error):
+    """Return a `Path.replace` that fails the so-many-th time."""
+    calls, replace = iter(range(1, 99)), Path.replace
+
+    def failing(path, target):
+        if next(calls) == number:
+            raise error
+        return replace(path, target)
+
+    return failing
+
+
+def no_second_names(_source, _target):
+    raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+
+@pytest.mark.parametrize("second_names", [True, False])
+@pytest.mark.parametrize("failing_call", [1, 2, 3])
+@pytest.mark.parametrize("error", [OSError(errno.EIO, "I/O error"), KeyboardInterrupt()])
+def test_renaming_that_fails_leaves_everything_as_it_was(
+    tmp_path, monkeypatch, error, failing_call, second_names
+):
+    before = {"a": b"old a", "c": b"old c"}
+    for name, content in before.items():
+        (tmp_path / name).write_bytes(content)
+    monkeypatch.setattr(Path, "replace", fail_at(failing_call, error))
+    if not second_names:
+        monkeypatch.setattr(os, "link", no_second_names)
+    results = {tmp_path / name: b"new" for name in "abc"}
+    refusal = KeyboardInterrupt if error.args == () else UnwritableResult
+    with pytest.raises(refusal) as refused:
+        write_results(results, force=True)
+    if refusal is UnwritableResult:
+        assert f"cannot write {tmp_path / 'abc'[failing_call - 1]}: I/O error" in str(refused.value)
+    assert everything_in(tmp_path) == before
+
+
+def test_interruption_right_after_a_renaming_counts(tmp_path, monkeypatch):
+    (tmp_path / "a").write_bytes(b"old")
+    replace = Path.replace
+
+    def interrupted(path, target):
+        replace(path, target)
+        if target.read_bytes() == b"new":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_results({tmp_path / "a": b"new", tmp_path / "b": b"new"}, force=True)
+    assert everything_in(tmp_path) == {"a": b"old"}
+
+
+def test_what_cannot_be_put_back_is_kept_and_told(tmp_path, monkeypatch):
+    for name in "ab":
+        (tmp_path / name).write_bytes(f"old {name}".encode())
+    calls, replace = iter(range(1, 99)), Path.replace
+
+    def fails_from_the_second_time_on(path, target):
+        if next(calls) > 1:
+            raise OSError(errno.EIO, "I/O error")
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", fails_from_the_second_time_on)
+    with pytest.raises(UnwritableResult, match=f"I/O error; {tmp_path / 'a'} was ") as refused:
+        write_results({tmp_path / "a": b"new", tmp_path / "b": b"new"}, force=True)
+    kept = Path(str(refused.value).rpartition(" was ")[2])
+    assert kept.read_bytes() == b"old a"
+    assert everything_in(tmp_path) == {"a": b"new", "b": b"old b", kept.name: b"old a"}
+
+
+def test_refusal_says_how_the_caller_may_overwrite(tmp_path):
+    (tmp_path / "{a}").touch()
+    with pytest.raises(NeedsForce, match=r"\(force=True overwrites it\)$") as refused:
+        check_results([tmp_path / "{a}"])
+    same = pickle.loads(pickle.dumps(refused.value))
+    assert same.told("--force").endswith("{a}: it exists already (--force overwrites it)")
+
+
 def test_link_is_followed_not_replaced(tmp_path):
     (tmp_path / "real").write_bytes(b"old")
     (tmp_path / "link").symlink_to(tmp_path / "real")
@@ -414,8 +495,6 @@ def test_folder_that_takes_no_files_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(not os.path.exists("/dev/null"), reason="no such device here")  # noqa: PTH110
 def test_device_is_never_replaced():
-    from pathlib import Path
-
     with pytest.raises(UnwritableResult, match="no regular file"):
         check_results([Path("/dev/null")], force=True)
 

@@ -229,6 +229,47 @@ def test_planes_of_a_dask_stack_are_read_one_at_a_time(colored, of_grey):
     np.testing.assert_array_equal(found.position, of_grey.position)
 
 
+@pytest.fixture(scope="module")
+def small(stack):
+    """A stack that takes little time, and where it is in focus."""
+    planes = np.ascontiguousarray(stack[:, :50, :60])
+    return planes, sharpest_plane(planes, px_per_plane=1.0).plane
+
+
+@pytest.mark.parametrize("axes", ["tczyx", "zctyx", "yxzct", "cytzx", "ptzcyx", "szyxt", "zyxsc"])
+def test_axes_of_length_one_do_not_count(small, axes):
+    planes, expected = small
+    order = [*"zyx", *(axis for axis in axes if axis not in "zyx")]
+    whole = planes.reshape(planes.shape + (1,) * (len(axes) - 3))
+    whole = whole.transpose([order.index(axis) for axis in axes])
+    found = sharpest_plane(whole, axes=axes, px_per_plane=1.0)
+    np.testing.assert_array_equal(found.plane, expected)
+
+
+def test_leading_axes_of_length_one_need_no_letters(small):
+    planes, expected = small
+    found = sharpest_plane(planes[None, None], px_per_plane=1.0)
+    np.testing.assert_array_equal(found.plane, expected)
+
+
+@pytest.mark.parametrize("axes", ["tczyx", "zyxct"])
+@pytest.mark.parametrize("kind", [np.asarray, da.from_array])
+def test_channel_and_time_are_chosen(small, axes, kind):
+    planes, expected = small
+    whole = np.zeros((3, 2, *planes.shape), planes.dtype)
+    whole[2, 1] = planes
+    whole = whole.transpose(["tczyx".index(axis) for axis in axes])
+    found = sharpest_plane(kind(whole), axes=axes, channel=1, time=2, px_per_plane=1.0)
+    np.testing.assert_array_equal(found.plane, expected)
+
+
+def test_times_are_planes_if_there_are_no_others(small):
+    planes, expected = small
+    both = np.stack([planes * 0, planes], axis=1)
+    found = sharpest_plane(both, axes="tcyx", channel=1, px_per_plane=1.0)
+    np.testing.assert_array_equal(found.plane, expected)
+
+
 def test_progress_grows_to_the_end_and_may_stop_the_work(colored):
     reports = []
     sharpest_plane(colored[..., 1], progress=lambda step, done: reports.append(done))
@@ -251,6 +292,7 @@ def test_plane_with_nan_is_named(stack):
 
 
 STACK = np.zeros((4, 30, 40))
+PLATE = np.zeros((2, 4, 30, 40))
 
 
 @pytest.mark.parametrize(
@@ -259,15 +301,26 @@ STACK = np.zeros((4, 30, 40))
         (STACK.astype(complex), {}, TypeError, "stack has dtype complex128"),
         (STACK[0], {}, ValueError, r"stack has shape \(30, 40\); it takes"),
         (STACK[:, :, :3], {}, ValueError, r"stack has shape \(4, 30, 3\); it takes"),
-        (STACK[:1], {}, ValueError, "1 plane; it takes two or more"),
+        (STACK[:1], {}, ValueError, "a single plane; it takes two or more"),
         (STACK[:, :2], {}, ValueError, "planes of 2 x 40 px"),
         (STACK[..., None].repeat(2, 3), {"axes": "zyxs"}, ValueError, "2 channels; it takes 1, 3"),
         (STACK, {"axes": "zy"}, ValueError, "axes is 'zy'; it takes y, x"),
         (STACK, {"axes": "zyxs"}, ValueError, "axes is 'zyxs'; stack has 3 axes"),
         (STACK, {"axes": "tzyx"}, ValueError, "axes is 'tzyx'; stack has 3 axes"),
-        (STACK[None], {"axes": "tzyx"}, ValueError, "it takes rows, columns, one axis of planes"),
+        (PLATE, {}, ValueError, r"stack has shape \(2, 4, 30, 40\); it takes"),
+        (PLATE, {"axes": "tzyx"}, ValueError, "2 along t and 4 along z; time chooses one"),
+        (PLATE, {"axes": "czyx"}, ValueError, "2 along c and 4 along z; channel chooses one"),
+        (PLATE, {"axes": "tcyx"}, ValueError, "2 along t and 4 along c; channel chooses one"),
+        (PLATE, {"axes": "pzyx"}, ValueError, "planes, 2 along p and 4 along z; it takes planes"),
+        (PLATE[None].repeat(2, 0), {"axes": "tczyx"}, ValueError, "time and channel choose one of"),
+        (PLATE, {"axes": "czyx", "channel": 2}, ValueError, "channel is 2; stack has 2 along c"),
+        (PLATE, {"axes": "czyx", "channel": -1}, ValueError, "channel is -1; stack has 2 along c"),
+        (PLATE, {"axes": "czyx", "channel": 0.5}, TypeError, "channel is 0.5; it takes a whole"),
+        (STACK, {"channel": 0}, ValueError, "channel is 0; stack has no axis c"),
+        (STACK, {"axes": "tyx", "time": 0}, ValueError, "a single plane"),
+        (STACK, {"axes": "cyx"}, ValueError, "channels are no planes through focus"),
         (STACK, {"axes": 3}, TypeError, "axes is 3; it takes a string"),
-        (STACK, {"channel_axis": 0}, ValueError, "channel_axis is 0 and stack has shape"),
+        (STACK, {"channel_axis": 0}, ValueError, "stack has a single plane"),
         (STACK, {"channel_axis": 1.5}, TypeError, "channel_axis is 1.5"),
         (STACK, {"axes": "zyx", "channel_axis": 0}, ValueError, "it takes one"),
         (STACK, {"px_per_plane": 0.0}, ValueError, "px_per_plane is 0.0"),

@@ -40,8 +40,9 @@ from napari_defocus.batch_sources import (
 )
 from napari_defocus.batch_table import FAILED, Row, in_csv, in_json_lines
 from napari_defocus.cluster import Job, in_this_process, outcomes
-from napari_defocus.files import UnwritableResult, write_results
+from napari_defocus.files import NeedsForce, UnwritableResult, write_results
 from napari_defocus.lazy_arrays import need_large_extra
+from napari_defocus.picture_files import PictureFiles, look_for_pictures
 from napari_defocus.progress import Cancelled, Progress, duration, silent
 from napari_defocus.settings import (
     BLOCK_SIZE,
@@ -51,7 +52,7 @@ from napari_defocus.settings import (
     check_threshold,
 )
 from napari_defocus.settings_file import Settings
-from napari_defocus.sources import Source, find_sources
+from napari_defocus.sources import Source
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -67,11 +68,15 @@ class BatchReport:
         CSV; the same rows as JSON lines are beside it.
     planes, failed : int
         Rows of the table, and those of them that could not be measured.
+    left_out : dict of str to int
+        How many files of the folders and patterns were no pictures, by their endings, such as
+        ".txt"; "result" for what this package made, "folder" for folders in a folder.
     """
 
     table: Path
     planes: int
     failed: int
+    left_out: dict[str, int] = field(default_factory=dict, hash=False)
 
 
 def measure_batch(
@@ -101,7 +106,8 @@ def measure_batch(
     ----------
     inputs : path-like, or iterable of path-like
         Files, folders and patterns, as `napari_defocus.sources.find_sources` takes them:
-        photographs, TIFF and OME-Zarr, with one plane or many.
+        photographs, TIFF, slides and OME-Zarr, with one plane or many. Maps and the like that
+        this package made are left out, whatever they are called.
     output : path-like
         A folder; it is made if its parent is there. It gets `table.csv` and `table.jsonl`, whose
         rows are in the order of the inputs; a folder `maps`; and, hidden, notes of what is
@@ -138,7 +144,7 @@ def measure_batch(
     Raises
     ------
     UnreadablePicture
-        If an input names nothing.
+        If an input names nothing, or a map, a mask or a drawing of this package.
     UnwritableResult
         If the output cannot be written, holds what no batch made, or a batch that was made with
         other settings or of other pictures, and `force` is not set; if a result is an input, or
@@ -183,12 +189,12 @@ def measure_batch(
     if not isinstance(output, str | os.PathLike):
         raise TypeError(f"output is {type(output).__name__}; it takes the path of a folder")
     folder = BatchFolder(Path(output).absolute())
-    sources = _sources(inputs, folder)
+    looked = _sources(inputs, folder)
     made_with = json.loads(json.dumps(plan.facts() | {"file_format": file_format}))
-    found = compared_inputs(sources, folder, made_with)
+    found = compared_inputs(looked.pictures, folder, made_with)
     if not force:
         _refuse_changed(found, folder)
-    batch = _Batch(folder, plan, file_format, found, _Counter(progress))
+    batch = _Batch(folder, plan, file_format, found, looked.left_out, _Counter(progress))
     lending = nullcontext(client) if client is not None else in_this_process()
     with folder.begun(made_with, force=force), lending as lent:
         try:
@@ -217,7 +223,7 @@ def _checked(plan: BatchPlan) -> BatchPlan:
 
 def _sources(
     inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str], folder: BatchFolder
-) -> list[Path]:
+) -> PictureFiles:
     """Return the sources, without the results of an earlier run that a pattern finds."""
     given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     if not isinstance(given, Iterable):
@@ -226,24 +232,22 @@ def _sources(
     for one in given:
         if not isinstance(one, str | os.PathLike):
             raise TypeError(f"inputs holds a {type(one).__name__}; it takes paths")
-    named = {Path(one).resolve() for one in given}
-    results, found = folder.results.resolve(), []
-    for source in find_sources(given):
-        place = source.resolve()
-        if results not in place.parents:
-            found.append(source)
-        elif place in named or results in named:
-            raise UnwritableResult(f"cannot write {source}: it is a result and an input")
-    return found
+    results = folder.results.resolve()
+    for one in map(Path, given):
+        if results in (one.resolve(), *one.resolve().parents):
+            raise UnwritableResult(f"cannot write {one}: it is a result and an input")
+    looked = look_for_pictures(given, besides=folder.path)
+    pictures = [path for path in looked.pictures if results not in path.resolve().parents]
+    return PictureFiles(pictures, looked.left_out)
 
 
 def _refuse_changed(inputs: list[BatchInput], folder: BatchFolder) -> None:
     changes = [each.change for each in inputs if each.change]
     if changes:
         more = f", and so have {len(changes) - 1} others" if len(changes) > 1 else ""
-        raise UnwritableResult(
-            f"cannot go on with {folder.path}: inputs have changed ({changes[0]}{more}); "
-            "give another folder, or force to measure them again"
+        raise NeedsForce(
+            f"cannot go on with {folder.path}: inputs have changed: {changes[0]}{more}",
+            "give another folder, or {force} to measure them again",
         )
 
 
@@ -312,6 +316,7 @@ class _Batch:
     plan: BatchPlan
     file_format: FileFormat
     inputs: list[BatchInput]
+    left_out: dict[str, int]
     counter: _Counter
     rows: dict[str, list[Row]] = field(default_factory=dict)
     works: dict[str, SourceWork] = field(default_factory=dict)
@@ -332,7 +337,8 @@ class _Batch:
         rows = [row for each in self.inputs for row in self.rows.get(each.name, [])]
         csv, json_lines = self.folder.tables
         write_results({csv: in_csv(rows), json_lines: in_json_lines(rows)}, force=True)
-        return BatchReport(csv, len(rows), sum(row["status"] == FAILED for row in rows))
+        failures = sum(row["status"] == FAILED for row in rows)
+        return BatchReport(csv, len(rows), failures, self.left_out)
 
     def _work_off(self, client: Client, jobs: Iterator[Job]) -> None:
         """Do jobs, and those that come of them; what was at work when a worker died, alone."""

@@ -32,8 +32,9 @@ Inputs = Annotated[
     list[Path],
     typer.Argument(
         metavar="INPUTS...",
-        help="Pictures (PNG, JPEG, TIFF, WebP, BMP), stacks and slides (TIFF, OME-Zarr), folders "
-        "of them, and patterns such as 'photos/**/*.tif'.",
+        help="Pictures (PNG, JPEG, TIFF, WebP, BMP), stacks and slides (TIFF, .svs, .ndpi, .scn, "
+        ".qptiff, .lsm, .stk and the like, OME-Zarr), folders of them, and patterns such as "
+        "'photos/**/*.tif'. Results of napari-defocus are left out of folders and patterns.",
         show_default=False,
     ),
 ]
@@ -170,7 +171,12 @@ def batch(
                 progress=progress,
             )
         failures.append(report.failed)
-        return {"table": str(report.table), "planes": report.planes, "failed": report.failed}
+        return {
+            "table": str(report.table),
+            "planes": report.planes,
+            "failed": report.failed,
+            "left_out": report.left_out,
+        }
 
     try:
         run(work, _lines, reporting)
@@ -195,7 +201,11 @@ def _mask_settings(
 
 
 def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    from napari_defocus.picture_files import told_left_out
+
     yield f"planes       {facts['planes'] - facts['failed']} of {facts['planes']} measured"
+    if facts["left_out"]:
+        yield f"left out     {told_left_out(facts['left_out'])}"
     yield f"time         {facts['seconds']:.1f} s"
     yield f"wrote        {facts['table']}"
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from napari_defocus.batch_table import Row
-from napari_defocus.files import UnwritableResult, write_results
+from napari_defocus.files import NeedsForce, UnwritableResult, write_results
 
 Facts = dict[str, Any]
 
@@ -78,9 +78,9 @@ class BatchFolder:
         if before is None:
             self._check_unused(force)
         elif before != made_with and not force:
-            raise UnwritableResult(
-                f"cannot go on with {self.path}: {differences(before, made_with)}; "
-                "give another folder, or force to measure all of it again"
+            raise NeedsForce(
+                f"cannot go on with {self.path}: {differences(before, made_with)}",
+                "give another folder, or {force} to measure all of it again",
             )
         for folder in (self.path, self.notes, self.results):
             try:
@@ -107,9 +107,10 @@ class BatchFolder:
         if self.results.exists() and (not self.results.is_dir() or any(self.results.iterdir())):
             held.append(self.results)
         if held and not force:
-            raise UnwritableResult(
+            raise NeedsForce(
                 f"cannot write into {self.path}: {held[0].name} exists, and no batch of ours made "
-                "it (force overwrites what has the same name)"
+                "it",
+                "{force} overwrites what has the same name",
             )
 
     def _remove_left_over(self) -> None:

@@ -19,11 +19,11 @@ import napari_defocus
 from napari_defocus.batch_files import Facts, write_note
 from napari_defocus.batch_table import DONE, FAILED, Row, count_pixels
 from napari_defocus.files import write_results
+from napari_defocus.marks import ALL_IN_FOCUS, SOFTWARE
 from napari_defocus.measurement import Measurement, measure_map, used
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.progress import silent
 from napari_defocus.results import (
-    SOFTWARE,
     blur_map_tiff,
     confidence_tiff,
     mask_png,
@@ -55,7 +55,7 @@ KINDS = {
     "map": Kind("-blur", ".tif", "defocus blur", "px", "float32"),
     "confidence": Kind("-confidence", ".tif", "confidence of the blur map", "1", "float32"),
     "mask": Kind("-mask", ".png", "in-focus mask", "1", "uint8"),
-    "in_focus": Kind("-in-focus", ".png", "all-in-focus picture", "1", "float32"),
+    "in_focus": Kind("-in-focus", ".png", ALL_IN_FOCUS, "1", "float32"),
 }
 """Under the names of the table's columns."""
 

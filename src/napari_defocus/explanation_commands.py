@@ -81,11 +81,13 @@ def explain(
 def _drawing(told: PixelExplanation) -> bytes:
     from matplotlib.figure import Figure
 
+    from napari_defocus.marks import marked_png
+
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
     napari_defocus.draw_explanation(told, figure.subplots())
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return marked_png(buffer.getvalue(), "drawing: likelihood of every radius")
 
 
 def _facts(told: PixelExplanation) -> dict[str, Any]:

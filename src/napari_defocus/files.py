@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from struct import unpack
 from typing import Any
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from napari_defocus.settings import check_flag
+from napari_defocus.tiff_series import picture_number, told_choice
 
 PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
 """What Pillow may decode; some of its other formats start programs (EPS) or have no pixels."""
@@ -35,16 +39,49 @@ class UnwritableResult(OSError):
     """A result cannot be written; the message is one line with the path and the reason."""
 
 
+class NeedsForce(UnwritableResult):
+    """Something may only be overwritten if the caller says so.
+
+    Parameters
+    ----------
+    problem : str
+        What is in the way.
+    remedy : str
+        What saying so does; `{force}` stands for how it is said.
+
+    Examples
+    --------
+    >>> refused = NeedsForce("cannot write a.tif: it exists already", "{force} overwrites it")
+    >>> str(refused)
+    'cannot write a.tif: it exists already (force=True overwrites it)'
+    >>> refused.told("--force")
+    'cannot write a.tif: it exists already (--force overwrites it)'
+    """
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        self.problem, self.remedy = problem, remedy
+        super().__init__(self.told("force=True"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let it come back from another process."""
+        return type(self), (self.problem, self.remedy)
+
+    def told(self, force: str) -> str:
+        """Return the message as those read it who say `force` in their own way."""
+        return f"{self.problem} ({self.remedy.format(force=force)})"
+
+
 def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     """Read one picture, at its full depth and upright.
 
     The content decides how it is read, not the name. Palettes and CMYK become RGB, grey with
-    opacity becomes RGBA, and the orientation that a camera noted (EXIF) is applied.
+    opacity becomes RGBA, and the orientation that a camera noted (EXIF) is applied. Of a slide,
+    the largest level is read, see `told_choice_in`.
 
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF, WebP or BMP file.
+        A PNG, JPEG, TIFF, WebP or BMP file; slides of many makers are TIFF.
 
     Returns
     -------
@@ -55,8 +92,8 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     ------
     UnreadablePicture
         If there is no such file, it holds no picture, is cut off or damaged, holds more than
-        one plane or picture, has an unknown colour model, or has more pixels than Pillow
-        accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
+        one plane, or several pictures of which none is clearly the one, has an unknown colour
+        model, or has more pixels than Pillow accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
 
     Examples
     --------
@@ -74,6 +111,21 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     # Decoders raise whatever the damaged bytes led them into: struct.error, SyntaxError, ...
     except Exception as error:
         raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+
+
+def told_choice_in(path: str | os.PathLike[str]) -> str:
+    """Return in words what `read_picture` takes of a file that holds more; else "".
+
+    That is of slides, such as "the largest of 4 levels; left out: label of 600 x 400 px".
+    """
+    import tifffile
+
+    # What is wrong with a file is told when it is read.
+    with suppress(Exception), Path(path).open("rb") as file:
+        if file.read(4).startswith(TIFF_STARTS):
+            with tifffile.TiffFile(path) as tiff:
+                return told_choice(tiff)
+    return ""
 
 
 def picture_form(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -159,7 +211,7 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
     import tifffile
 
     with tifffile.TiffFile(path) as tiff:
-        series = _only_series(tiff)
+        series = _single_plane(tiff)
         page = series.keyframe
         if planes_are_missing(tiff, series) or cut_off(page, tiff.filehandle.size):
             raise ValueError("the file is cut off")
@@ -170,10 +222,8 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
         return tiff_colors(pixels, page), int(orientation)
 
 
-def _only_series(tiff: Any) -> Any:
-    if len(tiff.series) != 1:
-        raise ValueError(f"it holds {len(tiff.series)} pictures; a single one is read")
-    series = tiff.series[0]
+def _single_plane(tiff: Any) -> Any:
+    series = tiff.series[picture_number(tiff)]
     if series.axes not in ("YX", "YXS", "SYX"):
         shape = " x ".join(map(str, series.shape))
         raise ValueError(
@@ -187,7 +237,10 @@ def _only_series(tiff: Any) -> Any:
 def _refuse_bomb(pixels: int) -> None:
     limit = Image.MAX_IMAGE_PIXELS
     if limit is not None and pixels > 2 * limit:
-        raise ValueError(f"it has {pixels} pixels; up to {2 * limit} are read")
+        raise ValueError(
+            f"it has {pixels} pixels; up to {2 * limit} are read at once "
+            "(napari-defocus batch measures larger ones part by part)"
+        )
 
 
 def cut_off(page: Any, size: int) -> bool:
@@ -301,20 +354,24 @@ def check_results(
     TypeError
         If `force` is neither True nor False.
     UnwritableResult
-        If the folder of a result is missing or takes no new file, a result exists and `force`
-        is not set, it is a folder, a device or `source`, or two results are one file.
+        If the folder of a result is missing or takes no new file, it is a folder, a device or
+        `source`, or two results are one file.
+    NeedsForce
+        If a result exists and `force` is not set.
     """
     check_flag("force", force)
     seen: set[Path] = set()
     for path in paths:
         target = path.resolve()
-        refusal = "it is given twice" if target in seen else _refusal(target, force, source)
+        refusal = "it is given twice" if target in seen else _refusal(target, source)
         if refusal:
             raise UnwritableResult(f"cannot write {path}: {refusal}")
+        if target.exists() and not force:
+            raise NeedsForce(f"cannot write {path}: it exists already", "{force} overwrites it")
         seen.add(target)
 
 
-def _refusal(target: Path, force: bool, source: Path | None) -> str | None:
+def _refusal(target: Path, source: Path | None) -> str | None:
     if not target.parent.is_dir():
         return f"there is no folder {target.parent}"
     if target.is_dir():
@@ -324,8 +381,6 @@ def _refusal(target: Path, force: bool, source: Path | None) -> str | None:
             return "it is no regular file"
         if source is not None and source.exists() and target.samefile(source):
             return "it is a file that is read"
-        if not force:
-            return "it exists already (force overwrites it)"
     return _creation_failure(target.parent)
 
 
@@ -347,8 +402,8 @@ def unused_name(folder: Path) -> Path:
 def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> None:
     """Write files that belong together: all of them whole, or none.
 
-    Every file is written and synchronised under a temporary name in its own folder first;
-    then all get their names.
+    Every file is written and synchronised under a temporary name in its own folder first, and
+    what it replaces is kept there, too; then all get their names.
 
     Parameters
     ----------
@@ -360,21 +415,71 @@ def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> Non
     Raises
     ------
     UnwritableResult
-        For the reasons of `check_results`, or if writing fails, for instance because the disk
-        is full. No temporary file stays behind, and files that existed are as they were.
+        For the reasons of `check_results`, or if writing or renaming fails, for instance because
+        the disk is full. No temporary file stays behind, and files that existed are as they
+        were. So it is after an interruption, too.
     """
     check_results(contents, force=force)
-    parts = {path: unused_name(path.resolve().parent) for path in contents}
+    swaps = [_Swap.at(path) for path in contents]
     try:
-        for path, part in parts.items():
-            _write_through(part, contents[path])
-        for path, part in parts.items():
-            part.replace(path.resolve())
-    except OSError as error:
-        raise UnwritableResult(f"cannot write {path}: {_in_one_line(error)}") from error
+        for swap in swaps:
+            _write_through(swap.part, contents[swap.path])
+        for swap in swaps:
+            swap.keep_old()
+        for swap in swaps:
+            swap.part.replace(swap.target)
+    except BaseException as error:
+        stuck = [each for each in swaps if not each.undo()]
+        if isinstance(error, OSError):
+            told = [_in_one_line(error), *(f"{each.path} was {each.old}" for each in stuck)]
+            raise UnwritableResult(f"cannot write {swap.path}: {'; '.join(told)}") from error
+        raise
+    else:
+        for swap in swaps:
+            swap.old.unlink(missing_ok=True)
     finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
+        for swap in swaps:
+            swap.part.unlink(missing_ok=True)
+
+
+@dataclass
+class _Swap:
+    """A file that gets a new content, and can get the old one back.
+
+    `old` is another name of what was there; where a file system has no second names, a copy.
+    """
+
+    path: Path
+    target: Path
+    part: Path
+    old: Path
+    ready: bool = False
+
+    @classmethod
+    def at(cls, path: Path) -> _Swap:
+        target = path.resolve()
+        return cls(path, target, unused_name(target.parent), unused_name(target.parent))
+
+    def keep_old(self) -> None:
+        if self.target.exists():
+            try:
+                os.link(self.target, self.old)
+            except OSError:
+                shutil.copy2(self.target, self.old)
+        self.ready = True
+
+    def undo(self) -> bool:
+        """Put back what was there; return whether that went well."""
+        try:
+            if not self.ready or self.part.exists():
+                self.old.unlink(missing_ok=True)
+            elif self.old.exists():
+                self.old.replace(self.target)
+            else:
+                self.target.unlink(missing_ok=True)
+        except OSError:
+            return False
+        return True
 
 
 def _write_through(path: Path, content: bytes) -> None:

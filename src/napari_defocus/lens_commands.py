@@ -159,6 +159,7 @@ def compare(
         ]
         return {
             "image": str(image),
+            "taken": files.told_choice_in(image),
             "width": picture.shape[1],
             "height": picture.shape[0],
             "noise_variance": comparison.noise_variance,
@@ -188,6 +189,8 @@ def _calibration_lines(facts: Mapping[str, Any]) -> Iterator[str]:
 
 def _comparison_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
+    if facts["taken"]:
+        yield f"taken        {facts['taken']}"
     yield f"noise        variance {facts['noise_variance']:.2g}"
     yield f"windows      {facts['windows']} with texture"
     width = max(len(row["psf"]) for row in facts["families"])

@@ -252,10 +252,13 @@ def picture_facts(
     settings: MapSettings,
 ) -> dict[str, Any]:
     """Return what every command tells about a picture."""
+    from napari_defocus.files import told_choice_in
+
     height, width = found.image_shape
     variance = found.noise_variance
     return {
         "image": str(image),
+        "taken": told_choice_in(image),
         "width": width,
         "height": height,
         "psf": settings.psf,
@@ -293,6 +296,8 @@ def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]
 def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
     """Say what `picture_facts`, `file_facts` and `map_facts` are."""
     yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
+    if facts["taken"]:
+        yield f"taken        {facts['taken']}"
     yield f"lens         {facts['psf']}, scale: {facts['scale']}"
     if facts["noise_variance"] is not None:
         variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]

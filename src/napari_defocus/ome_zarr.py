@@ -112,7 +112,7 @@ def _picture(path: Path) -> OmeZarrPicture:
     if "axes" not in multiscale:
         raise ValueError("it has no axes; OME-Zarr 0.4 and 0.5 are read")
     declared = [axis if isinstance(axis, dict) else {"name": axis} for axis in multiscale["axes"]]
-    letters = _letters([str(axis["name"]) for axis in declared])
+    letters = _letters(declared)
     arrays = [group[dataset["path"]] for dataset in multiscale["datasets"]]
     _check_arrays(arrays, letters)
     order = [i for i, letter in enumerate(letters) if letter not in "yx"]
@@ -167,11 +167,16 @@ def _only_picture_below(path: Path, about: Mapping[str, Any], groups: list[str])
     raise ValueError("it is no OME-Zarr picture: it has no multiscales")
 
 
-def _letters(names: list[str]) -> str:
-    """Return a letter an axis: the first of its name, or one that is free."""
-    letters = ""
-    for name in names:
-        wished = [*name.lower(), *"qpomnlkjihgfedbavwur"]
+_LETTER_OF_TYPE = {"channel": "c", "time": "t"}
+"""Of axes that a store declares as such, whatever it calls them."""
+
+
+def _letters(declared: list[dict[str, Any]]) -> str:
+    """Return a letter an axis: that of its type, the first of its name, or one that is free."""
+    letters, names = "", [str(axis["name"]) for axis in declared]
+    for axis, name in zip(declared, names, strict=True):
+        of_type = _LETTER_OF_TYPE.get(str(axis.get("type")), "")
+        wished = [*of_type, *name.lower(), *"qpomnlkjihgfedbavwur"]
         letters += next(a for a in wished if a.isalpha() and a != "s" and a not in letters)
     if "y" not in letters or "x" not in letters:
         raise ValueError(f"its axes are {', '.join(names)}; y and x are needed")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from napari_defocus.files import UnwritableResult
+from napari_defocus.files import NeedsForce, UnwritableResult
 from napari_defocus.lazy_arrays import need_large_extra
 from napari_defocus.ome_zarr import OUR_KEY, is_zarr
 from napari_defocus.ome_zarr_metadata import (
@@ -275,10 +275,10 @@ def _check_target(path: Path, force: bool) -> None:
         refusal = f"there is no folder {path.parent}"
     elif path.exists() and not is_zarr(path):
         refusal = "it exists, and is no Zarr store"
-    elif path.exists() and not force:
-        refusal = "it exists already (force overwrites it)"
     if refusal:
         raise UnwritableResult(f"cannot write {path}: {refusal}")
+    if path.exists() and not force:
+        raise NeedsForce(f"cannot write {path}: it exists already", "{force} overwrites it")
 
 
 def _can_go_on(writer: OmeZarrWriter, about: dict[str, Any]) -> bool:

@@ -20,7 +20,13 @@ Encoding = Literal["srgb", "linear"]
 """How files hold light; "linear" is None to the functions."""
 
 ImagePath = Annotated[
-    Path, typer.Argument(metavar="IMAGE", help="PNG, JPEG, TIFF, WebP or BMP.", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="IMAGE",
+        help="PNG, JPEG, TIFF, WebP or BMP; of a slide (.svs, .ndpi, .scn, .qptiff and the like), "
+        "the largest level.",
+        show_default=False,
+    ),
 ]
 NoiseVariance = Annotated[
     float | None,

@@ -91,6 +91,7 @@ def restore(
 
     def work(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
+        from napari_defocus.marks import ALL_IN_FOCUS
 
         settings = measuring.settings()
         check_tv_weight(tv_weight)
@@ -112,7 +113,7 @@ def restore(
             picture, found, noise, weight, risk, settings.linearize, intensity_range, second
         )
         made_with = used(found, settings) | {"tv_weight": weight, "risk": risk}
-        contents = _encoded(outputs, sharp, picture, "all-in-focus picture", made_with)
+        contents = _encoded(outputs, sharp, picture, ALL_IN_FOCUS, made_with)
         restoration = RestorationSettings(tv_weight=tv_weight, risk=risk)
         used_settings = napari_defocus.Settings(map=settings, restoration=restoration)
         contents |= saved_settings(settings_files.save_settings, "restore", used_settings)
@@ -149,6 +150,7 @@ def refocus(
 
     def work(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
+        from napari_defocus.marks import REFOCUSED
 
         settings = measuring.settings()
         family = settings.family()
@@ -188,7 +190,7 @@ def refocus(
             progress=within(second, _RESTORING_SHARE, 1.0),
         )
         made_with = used(found, settings) | change
-        contents = _encoded(outputs, changed, picture, "refocused picture", made_with)
+        contents = _encoded(outputs, changed, picture, REFOCUSED, made_with)
         used_settings = napari_defocus.Settings(
             map=settings,
             restoration=RestorationSettings(tv_weight=tv_weight, risk=risk),
@@ -330,7 +332,7 @@ def _encoded(
 
     shown = with_opacity(made, picture)
     return {
-        path: picture_png(shown, picture)
+        path: picture_png(shown, picture, quantity)
         if path.suffix.lower() == ".png"
         else picture_tiff(shown, quantity, made_with)
         for path in outputs

@@ -15,10 +15,10 @@ from PIL import Image
 
 import napari_defocus
 from napari_defocus.image import prepare_image
+from napari_defocus.marks import ALL_IN_FOCUS, SOFTWARE, marked_png, said_by
 from napari_defocus.psf import Disc
 from napari_defocus.settings import MapSettings
 
-SOFTWARE = "napari-defocus"
 _BLUR_QUANTITY = "defocus blur"
 _CONFIDENCE_QUANTITY = "confidence of the blur map"
 
@@ -100,7 +100,7 @@ def picture_tiff(picture: ArrayLike, quantity: str, settings: Mapping[str, Any])
     return _tiff(picture, {"quantity": quantity, "unit": "1"}, settings, color=color)
 
 
-def picture_png(picture: ArrayLike, source: ArrayLike) -> bytes:
+def picture_png(picture: ArrayLike, source: ArrayLike, quantity: str = ALL_IN_FOCUS) -> bytes:
     """Encode a picture as a PNG file, with about as many levels as the one it was made from.
 
     Parameters
@@ -109,6 +109,8 @@ def picture_png(picture: ArrayLike, source: ArrayLike) -> bytes:
         In [0, 1]; what is beyond is clipped.
     source : array_like
         The picture that it was made from.
+    quantity : str, optional
+        What the file says it is, see `napari_defocus.marks`.
 
     Returns
     -------
@@ -119,7 +121,7 @@ def picture_png(picture: ArrayLike, source: ArrayLike) -> bytes:
 
     dtype = np.uint8 if np.asarray(source).dtype.itemsize == 1 else np.uint16
     levels = np.iinfo(dtype).max * np.clip(np.asarray(picture, np.float32), 0.0, 1.0)
-    return bytes(imagecodecs.png_encode(np.rint(levels).astype(dtype)))
+    return marked_png(bytes(imagecodecs.png_encode(np.rint(levels).astype(dtype))), quantity)
 
 
 def with_opacity(picture: ArrayLike, source: ArrayLike) -> NDArray[np.float32]:
@@ -186,8 +188,7 @@ def description_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     # Damaged files raise anything; reading them as pictures says what is wrong with them.
     with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        found = json.loads(tiff.pages.first.description)
-        return found if found["software"] == SOFTWARE else {}
+        return said_by(tiff.pages.first.description)
     return {}
 
 
@@ -334,8 +335,8 @@ def _drawing(
     figure.colorbar(drawn, cax=bar_axes, label=label, extend="max" if beyond else "neither")
     figure.text(margin / across, margin / 2 / up, note)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return marked_png(buffer.getvalue(), f"drawing: {label}")
 
 
 def _shown_size(height: int, width: int) -> tuple[int, int]:
@@ -357,7 +358,7 @@ def mask_png(mask: ArrayLike) -> bytes:
     bytes
         An 8-bit grey PNG: 255 (white) in focus, 0 (black) out of focus.
     """
-    return _png(np.where(np.asarray(mask) != 0, 255, 0).astype(np.uint8))
+    return _png(np.where(np.asarray(mask) != 0, 255, 0).astype(np.uint8), "in-focus mask")
 
 
 def overlay_png(
@@ -384,7 +385,7 @@ def overlay_png(
     shown = np.where(focused[..., None], color, DIMMED * color)
     shown = np.broadcast_to(shown, (*focused.shape, 3)).copy()
     shown[_outline(focused)] = OUTLINE_COLOR
-    return _png(np.rint(255.0 * shown).astype(np.uint8))
+    return _png(np.rint(255.0 * shown).astype(np.uint8), "drawing: what is in focus")
 
 
 def _outline(focused: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -395,7 +396,7 @@ def _outline(focused: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return focused & ~inner
 
 
-def _png(pixels: NDArray[np.uint8]) -> bytes:
+def _png(pixels: NDArray[np.uint8], quantity: str) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, format="PNG")
-    return buffer.getvalue()
+    return marked_png(buffer.getvalue(), quantity)

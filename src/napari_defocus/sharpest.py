@@ -88,6 +88,8 @@ def sharpest_plane(
     *,
     axes: str | None = None,
     channel_axis: int | None = None,
+    channel: int | None = None,
+    time: int | None = None,
     px_per_plane: float | None = None,
     psf: PSFFamily = Disc(),
     noise_variance: float | None = MapSettings.noise_variance,
@@ -115,11 +117,15 @@ def sharpest_plane(
         Two planes or more, in order, aligned with each other; numpy, dask, zarr, or anything
         else with a shape, a dtype and planes by index. Any real dtype; integers are scaled by
         their dtype's range, floats are taken as [0, 1]. A fourth channel is opacity.
+        Axes of length 1 do not count.
     axes : str, optional
-        What each axis is, such as "zyx" or "yxzs": y, x, s for colours, and another letter for
-        the planes.
+        What each axis is, such as "zyx", "yxzs" or "tczyx": y, x, s for colours, c for channels,
+        t for times, and another letter for the planes. Channels are never taken for planes,
+        times are if there is no other axis of planes.
     channel_axis : int, optional
         Which axis holds the colours; the others are planes, rows and columns. Instead of `axes`.
+    channel, time : int, optional
+        Which one along c and t to take, from 0; needed if there are several.
     px_per_plane : float, optional
         k, by how many px the radius grows from plane to plane. By default it is found.
     psf : PSFFamily, optional
@@ -151,11 +157,12 @@ def sharpest_plane(
     Raises
     ------
     TypeError
-        If `stack` holds no real numbers.
+        If `stack` holds no real numbers; if `channel` or `time` is no whole number.
     ValueError
-        If `stack` has other axes, less than two planes, a side below 3 px, or a plane with NaN
-        or infinite values; if `axes` and `channel_axis` do not fit it, or both are given; if
-        `px_per_plane` is not above 0; and as in `estimate_candidates` and `label_blur_map`.
+        If `stack` has other axes, channels or times of which none is chosen, less than two
+        planes, a side below 3 px, or a plane with NaN or infinite values; if `axes` and
+        `channel_axis` do not fit it, or both are given; if `px_per_plane` is not above 0; and as
+        in `estimate_candidates` and `label_blur_map`.
 
     Notes
     -----
@@ -179,7 +186,7 @@ def sharpest_plane(
     True
     """
     psf = check_windows(psf, window)
-    planes = StackPlanes.of(stack, axes, channel_axis)
+    planes = StackPlanes.of(stack, axes, channel_axis, channel=channel, time=time)
     _check_settings(px_per_plane, noise_variance, stride, window)
     check_weights(smoothness, color_sigma)
     check_linearize(linearize)

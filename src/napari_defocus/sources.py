@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,16 +20,15 @@ from napari_defocus.files import (
     reading_failure,
 )
 from napari_defocus.lazy_arrays import lazy_array, need_large_extra
+from napari_defocus.marks import SHARPEST_PIXELS, mark_of
 from napari_defocus.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
+from napari_defocus.picture_files import find_sources, naturally
 from napari_defocus.tiff_planes import open_tiff
 
 if TYPE_CHECKING:
     import dask.array as da
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".btf")
-"""Files of folders and globs that are taken for pictures; other TIFFs, such as .svs, by name."""
-
-_WILD = re.compile(r"[*?\[]")
+__all__ = ["Source", "find_sources", "open_source", "open_stack"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +46,8 @@ class Source:
         How far apart neighbours are, for axes of which it is known.
     units : dict of str to str
         In the spelling of UDUNITS, such as "micrometer", for axes of which it is known.
+    pictures : tuple of Path
+        The pictures that are its planes, if it is made of several; see `open_stack`.
     """
 
     path: Path
@@ -55,6 +55,12 @@ class Source:
     axes: str
     scale: dict[str, float]
     units: dict[str, str]
+    pictures: tuple[Path, ...] = ()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What is read: `pictures`, or `path` alone."""
+        return self.pictures or (self.path,)
 
     @property
     def plane_axes(self) -> str:
@@ -112,10 +118,11 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     """Open a photograph, a stack or a slide; no pixels are read.
 
     - PNG, JPEG, WebP, BMP: what `read_picture` gives, as one block.
-    - TIFF of one page, or of many (ImageJ, OME-TIFF, slides), tiled or not: the largest level,
-      of which tiles, strips or parts of an uncompressed page are read. Values, colours and
-      orientation are as `read_picture` gives them; scale and units as `scale_in_tiff`. Planes
-      that an OME-TIFF tells of, but that were not recorded or whose file is missing, are 0.
+    - TIFF of one page, or of many (ImageJ, OME-TIFF, LSM, STK, slides), tiled or not: the
+      largest level of the picture, without labels and previews beside it, of which tiles, strips
+      or parts of an uncompressed page are read. Values, colours and orientation are as
+      `read_picture` gives them; scale and units as `scale_in_tiff`. Planes that an OME-TIFF tells
+      of, but that were not recorded or whose file is missing, are 0.
     - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels that
       the store says are pure red, green and blue become colours; all other channels are planes,
       even three of uint8, because a store does not say that they belong together.
@@ -189,99 +196,106 @@ def _zarr_source(path: Path) -> Source:
     return Source(path, data, axes, picture.scale, picture.units)
 
 
-# Which files.
+# Pictures that are planes of one stack.
 
 
-def find_sources(inputs: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return the pictures that files, folders and patterns name, each once, in their order.
+def open_stack(inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str]) -> Source:
+    """Open a stack: one file, or pictures of one plane that are its planes; no pixels are read.
 
     Parameters
     ----------
-    inputs : iterable of path-like
-        A file, as it is; an OME-Zarr store; another folder, for the pictures and stores directly
-        in it, in natural order (a2 before a10); or a pattern with `*`, `?`, `[...]`, and `**` for
-        folders at any depth. What is hidden, and what is inside of a store, is not found.
+    inputs : path-like, or iterable of path-like
+        A stack as `open_source` takes it; or a folder, several pictures, or patterns, see
+        `find_sources`. Several pictures are planes in the natural order of their names: slice2
+        comes before slice10. They are along z, and each may have channels, c, beside.
 
     Returns
     -------
-    list of Path
+    Source
+        Its `path` is the folder, or the first picture. Scale and units are those of the
+        pictures where all agree.
 
     Raises
     ------
     UnreadablePicture
-        If an input names nothing, or a folder without pictures.
+        As `find_sources` and `open_source`; if there is only one picture, or one of them has
+        several planes, or another shape or dtype than the others: the message names it.
 
     Examples
     --------
-    >>> import pathlib, tempfile
+    >>> import pathlib, tempfile, PIL.Image, numpy as np
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     for name in ("b10.png", "b9.png", "a.txt"):
-    ...         pathlib.Path(folder, name).touch()
-    ...     [path.name for path in find_sources([folder, f"{folder}/b*"])]
-    ['b9.png', 'b10.png']
+    ...     for number in (2, 10, 1):
+    ...         plane = PIL.Image.fromarray(np.full((4, 5), number, np.uint8))
+    ...         plane.save(pathlib.Path(folder, f"slice{number}.png"))
+    ...     stack = open_stack(folder)
+    ...     stack.axes, stack.data[:, 0, 0].compute().tolist()
+    ('zyx', [1, 2, 10])
     """
-    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
-    found: dict[Path, Path] = {}
-    for one in given:
-        for path in _named_by(Path(one)):
-            found.setdefault(path.resolve(), path)
-    return list(found.values())
+    need_large_extra()
+    given = [Path(one) for one in ([inputs] if isinstance(inputs, str | os.PathLike) else inputs)]
+    files = sorted(find_sources(given), key=naturally)
+    if len(given) == 1 and files == given:
+        return open_source(given[0])
+    if not files:
+        raise UnreadablePicture("cannot read a stack: there are no files")
+    place = given[0] if len(given) == 1 and given[0].is_dir() else files[0]
+    if len(files) == 1:
+        raise UnreadablePicture(
+            f"cannot read {place} as a stack: it is one picture, {files[0].name}; give two or "
+            "more, or the file itself if it is a stack"
+        )
+    return _as_planes(place, [_as_plane(open_source(path)) for path in files])
 
 
-def _named_by(path: Path) -> list[Path]:
-    if path.is_file() or is_zarr(path):
-        return [path]
-    kinds = ", ".join(PICTURE_SUFFIXES)
-    if path.is_dir():
-        pictures = [entry for entry in _entries(path) if _is_picture(entry)]
-        if not pictures:
-            raise UnreadablePicture(f"cannot read {path}: the folder has no pictures ({kinds})")
-        return pictures
-    if not _WILD.search(str(path)):
-        raise UnreadablePicture(f"cannot read {path}: there is no such file")
-    pattern = path.relative_to(path.anchor).parts if path.anchor else path.parts
-    matches = {entry: None for entry in _matches(Path(path.anchor), pattern) if _is_picture(entry)}
-    if not matches:
-        raise UnreadablePicture(f"cannot read {path}: no picture matches ({kinds})")
-    return sorted(matches, key=_naturally)
+def _as_plane(picture: Source) -> Source:
+    """Return a picture without axes of length 1; refuse it if it has planes beside channels."""
+    if mark_of(picture.path).get("quantity") == SHARPEST_PIXELS:
+        raise UnreadablePicture(
+            f"cannot read {picture.path} as a plane of a stack: it was made of the sharpest pixels "
+            "of a stack"
+        )
+    sizes = dict(zip(picture.plane_axes, picture.plane_shape, strict=True))
+    kept = "".join(axis for axis, size in sizes.items() if size > 1)
+    if kept not in ("", "c"):
+        held = " and ".join(f"{sizes[axis]} along {axis}" for axis in kept)
+        raise UnreadablePicture(
+            f"cannot read {picture.path} as a plane of a stack: it has {held}; pictures of one "
+            "plane are taken, or a single file that is a stack"
+        )
+    index = tuple(slice(None) if axis in kept else 0 for axis in sizes)
+    axes = kept + picture.axes[len(sizes) :]
+    return Source(picture.path, picture.data[index], axes, picture.scale, picture.units)
 
 
-def _matches(folder: Path, pattern: tuple[str, ...]) -> Iterator[Path]:
-    first, *rest = pattern
-    following = tuple(rest) or ("*",) if first == "**" else tuple(rest)
-    if first == "**":
-        yield from _matches(folder, following)
-        for entry in _folders(folder):
-            yield from _matches(entry, pattern)
-    elif (entry := folder / first).exists():
-        yield from _matches(entry, following) if following else [entry]
-    elif following:
-        for entry in _folders(folder):
-            if fnmatch(entry.name, first):
-                yield from _matches(entry, following)
-    elif folder.is_dir():
-        yield from (entry for entry in _entries(folder) if fnmatch(entry.name, first))
+def _as_planes(place: Path, pictures: list[Source]) -> Source:
+    import dask.array as da
+
+    _check_alike(pictures)
+    first = pictures[0]
+    same = {
+        axis: step
+        for axis, step in first.scale.items()
+        if axis in "yx" and all(each.scale.get(axis) == step for each in pictures)
+    }
+    units = {axis: unit for axis, unit in first.units.items() if axis in same}
+    data = da.stack([each.data for each in pictures])
+    return Source(place, data, f"z{first.axes}", same, units, tuple(each.path for each in pictures))
 
 
-def _entries(folder: Path) -> list[Path]:
-    seen = (entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    return sorted(seen, key=_naturally)
+def _check_alike(pictures: list[Source]) -> None:
+    forms = [(each.axes, each.data.shape, each.data.dtype) for each in pictures]
+    usual, _ = Counter(forms).most_common(1)[0]
+    for picture, form in zip(pictures, forms, strict=True):
+        if form != usual:
+            raise UnreadablePicture(
+                f"cannot read {picture.path} as a plane of a stack: it is {_told_form(*form)}, and "
+                f"others are {_told_form(*usual)}"
+            )
 
 
-def _folders(folder: Path) -> list[Path]:
-    entries = _entries(folder) if folder.is_dir() else []
-    return [e for e in entries if e.is_dir() and not e.is_symlink() and not is_zarr(e)]
-
-
-def _is_picture(path: Path) -> bool:
-    return is_zarr(path) or (path.suffix.lower() in PICTURE_SUFFIXES and path.is_file())
-
-
-def _naturally(path: Path) -> list[tuple[list[tuple[int, str]], str]]:
-    """Return a key that sorts numbers in names by their value."""
-    return [(_words(part), part) for part in path.parts]
-
-
-def _words(name: str) -> list[tuple[int, str]]:
-    pieces = re.split(r"(\d+)", name.lower())
-    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in pieces]
+def _told_form(axes: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> str:
+    sizes = dict(zip(axes, shape, strict=True))
+    more = f" of {sizes['s']} colours" if "s" in sizes else ""
+    more += f" of {sizes['c']} channels" if "c" in sizes else ""
+    return f"{sizes['x']} x {sizes['y']} px{more}, {dtype}"

@@ -27,14 +27,33 @@ from napari_defocus.progress import Progress
 from napari_defocus.settings import CONFIDENT, MapSettings
 
 if TYPE_CHECKING:
+    from napari_defocus.axes import FocusAxis
     from napari_defocus.sharpest import SharpestPlane
     from napari_defocus.sources import Source
 
-StackPath = Annotated[
-    Path,
+StackPaths = Annotated[
+    list[Path],
     typer.Argument(
-        metavar="STACK",
-        help="Planes of one scene at equal steps of the focus: a TIFF stack or OME-Zarr.",
+        metavar="STACK...",
+        help="Planes of one scene at equal steps of the focus: a TIFF stack (also OME-TIFF, .lsm, "
+        ".stk), OME-Zarr, a folder of pictures, or several pictures. Pictures are planes in the "
+        "natural order of their names: slice2 comes before slice10.",
+        show_default=False,
+    ),
+]
+Channel = Annotated[
+    int | None,
+    typer.Option(
+        metavar="NUMBER",
+        help="Which channel to take, from 0; needed if STACK has several. Channels are never "
+        "taken for planes.",
+    ),
+]
+Time = Annotated[
+    int | None,
+    typer.Option(
+        metavar="NUMBER",
+        help="Which time to take, from 0; needed if STACK has several beside its planes.",
     ),
 ]
 CompositeOutput = Annotated[
@@ -44,7 +63,7 @@ CompositeOutput = Annotated[
         "-o",
         metavar="PATH",
         help="Where to write the picture of the sharpest pixels (.tif). "
-        "[default: STACK-sharpest.tif]",
+        "[default: STACK-sharpest.tif, beside STACK]",
     ),
 ]
 PositionOutput = Annotated[
@@ -88,8 +107,10 @@ class _Outputs:
 
 
 def sharpest(
-    stack: StackPath,
+    stack: StackPaths,
     *,
+    channel: Channel = None,
+    time: Time = None,
     px_per_plane: PxPerPlane = None,
     psf: PSFText = MapSettings.psf,
     noise_variance: NoiseVariance = MapSettings.noise_variance,
@@ -105,11 +126,11 @@ def sharpest(
     reporting: Reporting,
 ) -> None:
     """Find where each pixel of STACK is in focus, and make one picture of the sharpest."""
-    outputs = _Outputs(output or beside(stack, "-sharpest.tif"), position, confidence)
 
     def measure(progress: Progress) -> dict[str, Any]:
         from napari_defocus import files
-        from napari_defocus.sources import open_source
+        from napari_defocus.axes import focus_axis
+        from napari_defocus.sources import open_stack
 
         settings = MapSettings(
             psf=psf,
@@ -120,12 +141,25 @@ def sharpest(
             linearize=linearize,
         )
         family = settings.family()
-        check_endings(outputs.paths, ".tif", ".tiff")
-        source = _only_stack(open_source(stack))
-        files.check_results(outputs.paths, force=force, source=stack)
+        given = (output, position, confidence)
+        check_endings([path for path in given if path is not None], ".tif", ".tiff")
+        source = open_stack(stack)
+        outputs = _Outputs(output or _usual_output(source), position, confidence)
+        focus = focus_axis(
+            source.data.shape,
+            source.axes,
+            channel=channel,
+            time=time,
+            name=str(source.path),
+            said=lambda argument: f"--{argument}",
+        )
+        for path in source.files:
+            files.check_results(outputs.paths, force=force, source=path)
         found = napari_defocus.sharpest_plane(
             source.data,
             axes=source.axes,
+            channel=channel,
+            time=time,
             px_per_plane=px_per_plane,
             psf=family,
             noise_variance=noise_variance,
@@ -135,36 +169,35 @@ def sharpest(
             intensity_range=intensity_range,
             progress=progress,
         )
-        facts = _facts(source, found, outputs)
+        facts = _facts(source, found, outputs) | _focus_facts(focus, channel, time)
         _write(outputs, source, found, facts | {"psf": psf, "smoothness": smoothness}, force)
         return facts
 
     run(measure, _lines, reporting)
 
 
-def _only_stack(source: Source) -> Source:
-    planes = dict(zip(source.plane_axes, source.plane_shape, strict=True))
-    if len(planes) != 1:
-        held = " and ".join(f"{size} along {axis}" for axis, size in planes.items())
-        raise ValueError(
-            f"{source.path} has {f'planes, {held}' if held else 'a single plane'}; "
-            "it takes planes along one axis"
-        )
-    return source
+def _usual_output(source: Source) -> Path:
+    """Return where the picture goes: beside a stack, a folder of pictures, or their first."""
+    if source.path in source.files:
+        return beside(source.path, "-sharpest.tif")
+    folder = source.path if source.path.name not in ("", "..") else source.path.resolve()
+    return folder.with_name(f"{folder.name}-sharpest.tif")
 
 
 def _write(
     outputs: _Outputs, source: Source, found: SharpestPlane, made: Mapping[str, Any], force: bool
 ) -> None:
+    from napari_defocus.marks import SHARPEST_PIXELS
     from napari_defocus.tiff_stacks import write_pyramidal_tiff
 
     colors = "s" if source.axes.endswith("s") else ""
     wanted = (
-        (outputs.composite, found.composite, f"yx{colors}", "picture of the sharpest pixels", ""),
+        (outputs.composite, found.composite, f"yx{colors}", SHARPEST_PIXELS, ""),
         (outputs.position, found.position, "yx", "position of best focus", "planes"),
         (outputs.confidence, found.confidence, "yx", "confidence of the position", ""),
     )
-    used = {name: made[name] for name in ("image", "psf", "smoothness", "px_per_plane")}
+    names = ("image", "channel", "time", "psf", "smoothness", "px_per_plane")
+    used = {name: made[name] for name in names}
     for path, values, axes, quantity, unit in wanted:
         if path is not None:
             write_pyramidal_tiff(
@@ -185,6 +218,7 @@ def _facts(source: Source, found: SharpestPlane, outputs: _Outputs) -> dict[str,
     known = np.isfinite(found.px_per_plane)
     return {
         "image": str(source.path),
+        "pictures": [path.name for path in source.files] if len(source.files) > 1 else None,
         "width": width,
         "height": height,
         "planes": len(found.share_of_plane),
@@ -197,9 +231,20 @@ def _facts(source: Source, found: SharpestPlane, outputs: _Outputs) -> dict[str,
     }
 
 
+def _focus_facts(focus: FocusAxis, channel: int | None, time: int | None) -> dict[str, Any]:
+    return {"channel": channel, "time": time, "focus_axis": focus.letter, "focus_note": focus.note}
+
+
 def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
     size = f"{facts['width']} x {facts['height']} px"
     yield f"stack        {facts['image']}, {facts['planes']} planes of {size}"
+    if facts["pictures"]:
+        yield f"pictures     from {facts['pictures'][0]} to {facts['pictures'][-1]}"
+    for name in ("channel", "time"):
+        if facts[name] is not None:
+            yield f"{name:<12} {facts[name]} (from 0)"
+    if facts["focus_note"]:
+        yield f"focus        {facts['focus_note']}"
     if facts["px_per_plane"] is None:
         yield "blur         no texture to find by how much it grows from plane to plane"
     else:

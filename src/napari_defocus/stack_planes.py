@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.axes import axis_roles
+from napari_defocus.axes import FocusAxis, axis_roles, focus_axis
 from napari_defocus.image import MIN_SIDE, given_array
 
 
@@ -20,27 +20,34 @@ class StackPlanes:
     ----------
     stack : array
         Anything with a shape, a dtype and planes by index: numpy, dask, zarr.
-    plane_axis : int
+    focus : FocusAxis
+        Which axis is that of the planes, and where the others stay.
     order : tuple of int
         Where a plane's height, width and colours, if it has any, lie among its own axes.
     """
 
     stack: Any
-    plane_axis: int
+    focus: FocusAxis
     order: tuple[int, ...]
 
     @classmethod
     def of(
-        cls, stack: Any, axes: str | None = None, channel_axis: int | None = None
+        cls,
+        stack: Any,
+        axes: str | None = None,
+        channel_axis: int | None = None,
+        *,
+        channel: int | None = None,
+        time: int | None = None,
     ) -> StackPlanes:
-        """Find the planes of a stack; nothing is read.
+        """Find the planes of a stack, see `focus_axis`; nothing is read.
 
         Raises
         ------
         TypeError
-            If it holds no real numbers, or `axes` or `channel_axis` is of another type.
+            If it holds no real numbers, or another argument is of another type.
         ValueError
-            If it has other axes than planes, rows, columns and colours, or only one plane.
+            If its axes do not say which planes are meant, or there is only one.
         """
         array = (
             stack
@@ -51,22 +58,25 @@ class StackPlanes:
             raise TypeError(f"stack has dtype {array.dtype}; it takes real numbers")
         shape = tuple(int(length) for length in array.shape)
         roles = _roles(shape, axes, channel_axis)
-        plane_axis = next(at for at, role in enumerate(roles) if role not in "yxs")
-        within = roles.replace(roles[plane_axis], "")
-        order = tuple(within.index(role) for role in "yxs" if role in within)
-        planes = cls(array, plane_axis, order)
-        _check_sizes(planes, shape)
+        focus = focus_axis(shape, roles, channel=channel, time=time)
+        within = [role for role in roles if role in "yxs"]
+        planes = cls(array, focus, tuple(within.index(role) for role in "yxs" if role in within))
+        _check_sizes(planes)
         return planes
 
     def __len__(self) -> int:
         """Count the planes."""
-        return int(self.stack.shape[self.plane_axis])
+        return int(self.stack.shape[self.focus.number])
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Height and width of a plane in px, and its colours if there is an axis of them."""
-        of_plane = [n for axis, n in enumerate(self.stack.shape) if axis != self.plane_axis]
-        return tuple(int(of_plane[axis]) for axis in self.order)
+        within = [
+            size
+            for axis, size in enumerate(self.stack.shape)
+            if axis != self.focus.number and isinstance(self.focus.index[axis], slice)
+        ]
+        return tuple(int(within[axis]) for axis in self.order)
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -81,7 +91,11 @@ class StackPlanes:
         ValueError
             If it has NaN or infinite values.
         """
-        plane = given_array("stack", self.stack[(slice(None),) * self.plane_axis + (number,)])
+        index = list(self.focus.index)
+        index[self.focus.number] = number
+        while index[-1] == slice(None):
+            index.pop()
+        plane = given_array("stack", self.stack[tuple(index)])
         if plane.dtype.kind == "f" and not np.isfinite(plane).all():
             raise ValueError(
                 f"stack has NaN or infinite values in plane {number}; it takes finite ones"
@@ -90,28 +104,21 @@ class StackPlanes:
 
 
 def _roles(shape: tuple[int, ...], axes: str | None, channel_axis: int | None) -> str:
-    """Return a letter for each axis, see `axis_roles`; one of them is that of the planes."""
-    if axes is None and channel_axis is None:
-        usual = {(3, False): "zyx", (4, True): "zyxs"}.get((len(shape), shape[-1:] in ((3,), (4,))))
-        if usual is None:
-            raise ValueError(
-                f"stack has shape {shape}; it takes (Z, H, W), (Z, H, W, 3) or (Z, H, W, 4), "
-                "or axes that say which is which"
-            )
-        return usual
-    roles = axis_roles(shape, axes, channel_axis, "stack")
-    if len(set(roles) - set("yxs")) != 1:
-        given = f"axes is {axes!r}" if axes is not None else f"channel_axis is {channel_axis}"
+    """Return a letter for each axis, see `axis_roles`; those of the planes may be several."""
+    if axes is not None or channel_axis is not None:
+        return axis_roles(shape, axes, channel_axis, "stack")
+    colors = shape[-1:] in ((3,), (4,))
+    usual = "zyxs" if colors else "zyx"
+    ones = len(shape) - len(usual)
+    if ones < 0 or any(size != 1 for size in shape[:ones]):
         raise ValueError(
-            f"{given} and stack has shape {shape}; it takes rows, columns, one axis of planes, "
-            "and colours if there are any, such as 'zyx'"
+            f"stack has shape {shape}; it takes (Z, H, W), (Z, H, W, 3) or (Z, H, W, 4), "
+            "or axes that say which is which"
         )
-    return roles
+    return "abdefghijklmnopqruvw"[:ones] + usual
 
 
-def _check_sizes(planes: StackPlanes, shape: tuple[int, ...]) -> None:
-    if len(planes) < 2:
-        raise ValueError(f"stack has shape {shape}, {len(planes)} plane; it takes two or more")
+def _check_sizes(planes: StackPlanes) -> None:
     if min(planes.shape[:2]) < MIN_SIDE:
         raise ValueError(
             f"stack has planes of {planes.shape[0]} x {planes.shape[1]} px; "

@@ -59,11 +59,18 @@ def errors_in_one_line() -> Iterator[None]:
         _complain("there is not enough memory for this picture")
         raise typer.Exit(FAILED) from None
     except (OSError, TypeError, ValueError) as error:
-        _complain(str(error))
+        _complain(_told(error))
         raise typer.Exit(FAILED) from None
     except Exception as error:
         _complain(f"{type(error).__name__}: {error}")
         raise typer.Exit(FAILED) from None
+
+
+def _told(error: Exception) -> str:
+    """Return a message in the words of the terminal."""
+    from napari_defocus.files import NeedsForce
+
+    return error.told("--force") if isinstance(error, NeedsForce) else str(error)
 
 
 def _complain(message: str) -> None:

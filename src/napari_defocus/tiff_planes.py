@@ -23,15 +23,10 @@ from napari_defocus.files import (
 )
 from napari_defocus.lazy_arrays import block_side, lazy_array
 from napari_defocus.tiff_scale import Scale, scale_in_tiff
+from napari_defocus.tiff_series import picture_number
 
 if TYPE_CHECKING:
     import dask.array as da
-
-_SLIDE_KINDS = ("svs", "ndpi", "scn", "philips", "bif", "qpi")
-"""Formats of slides, whose first series is the slide; others are labels and overviews."""
-
-_LARGEST_EXTRA = 0.25
-"""Series of fewer pixels than this share of the first are taken to be its previews."""
 
 _PAGE_AXES = ("YX", "YXS", "SYX")
 _NO_PAGE = -1
@@ -52,6 +47,8 @@ class TiffPages:
         Of all planes, colours last.
     as_stored : bool
         Whether palettes are ImageJ's tables of display colours, and do not count.
+    apart : bool
+        Whether the last axis before rows is that of the channels of each page, as in LSM.
     """
 
     files: tuple[str, ...]
@@ -60,6 +57,7 @@ class TiffPages:
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     as_stored: bool
+    apart: bool = False
 
     def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
         """Read a region, one slice an axis."""
@@ -80,9 +78,13 @@ class TiffPages:
         file = self.files[self.file_of[plane]]
         try:
             with tifffile.TiffFile(file) as tiff:
-                tiff.filehandle.seek(int(self.offsets[plane]))
-                page = tifffile.TiffPage(tiff, index=0)
-                return _colors(_decoded(page, rows, columns), page, self.as_stored)
+                place = int(self.offsets[plane])
+                # Of later pages, tifffile mends what some formats get wrong.
+                index = int(place != tiff.pages.first.offset)
+                tiff.filehandle.seek(place)
+                page = tifffile.TiffPage(tiff, index=index)
+                samples = slice(plane[-1], plane[-1] + 1) if self.apart else _all_samples(page)
+                return _colors(_decoded(page, rows, columns, samples), page, self.as_stored)
         # Decoders raise whatever damaged bytes led them into.
         except Exception as error:
             raise UnreadablePicture(f"cannot read {file}: {reading_failure(error)}") from error
@@ -94,18 +96,25 @@ def _colors(pixels: NDArray[Any], page: Any, as_stored: bool) -> NDArray[Any]:
     return grey if as_stored and page.samplesperpixel == 1 else tiff_colors(grey, page)
 
 
-def _decoded(page: Any, rows: slice, columns: slice) -> NDArray[Any]:
-    """Decode the tiles or strips that a region touches; (h, w, samples)."""
-    shape = (rows.stop - rows.start, columns.stop - columns.start, page.samplesperpixel)
-    pixels = np.full(shape, page.nodata, page.dtype)
+def _all_samples(page: Any) -> slice:
+    return slice(0, page.samplesperpixel)
+
+
+def _decoded(page: Any, rows: slice, columns: slice, samples: slice) -> NDArray[Any]:
+    """Decode the tiles or strips that a region touches; (h, w, samples).
+
+    Only of a page whose samples are stored apart, fewer than all samples can be asked for.
+    """
+    region = (rows, columns, samples)
+    pixels = np.full([part.stop - part.start for part in region], page.nodata, page.dtype)
     file = page.parent.filehandle
-    for index in _segments(page, rows, columns):
+    for index in _segments(page, rows, columns, samples):
         offset, length = page.dataoffsets[index], page.databytecounts[index]
         file.seek(offset)
         data = file.read(length) if length else None
         segment, place, size = page.decode(data, index, jpegtables=page.jpegtables)
         if segment is not None:
-            _put(pixels, segment[0], place, size, rows.start, columns.start)
+            _put(pixels, segment[0], place, size, region)
     return pixels
 
 
@@ -114,25 +123,25 @@ def _put(
     segment: NDArray[Any],
     place: tuple[int, ...],
     size: tuple[int, ...],
-    first_row: int,
-    first_column: int,
+    region: tuple[slice, slice, slice],
 ) -> None:
+    first_row, first_column, first_sample = (part.start for part in region)
     sample, _, top, left, _ = place
     height, width = size[1:3]
     rows = slice(max(top - first_row, 0), top - first_row + height)
     columns = slice(max(left - first_column, 0), left - first_column + width)
-    samples = slice(sample, sample + segment.shape[-1])
+    samples = slice(sample - first_sample, sample - first_sample + segment.shape[-1])
     target = pixels[rows, columns, samples]
     above, before = max(first_row - top, 0), max(first_column - left, 0)
     target[...] = segment[above : above + target.shape[0], before : before + target.shape[1]]
 
 
-def _segments(page: Any, rows: slice, columns: slice) -> Iterator[int]:
+def _segments(page: Any, rows: slice, columns: slice, samples: slice) -> Iterator[int]:
     height, width = _segment_size(page)
     across = -(-page.imagewidth // width)
     down = -(-page.imagelength // height)
-    layers = page.samplesperpixel if page.planarconfig == 2 else 1
-    for layer in range(layers):
+    layers = range(samples.start, samples.stop) if page.planarconfig == 2 else range(1)
+    for layer in layers:
         for row in range(rows.start // height, -(-rows.stop // height)):
             for column in range(columns.start // width, -(-columns.stop // width)):
                 yield (layer * down + row) * across + column
@@ -198,7 +207,7 @@ def open_tiff(path: Path) -> tuple[da.Array, str, Scale]:
     import tifffile
 
     with tifffile.TiffFile(path) as tiff:
-        number = _series_number(tiff)
+        number = picture_number(tiff)
         series = tiff.series[number]
         if series.dtype is None or series.dtype.kind not in "buif":
             raise ValueError(f"it holds {series.dtype}; real numbers are read")
@@ -212,16 +221,6 @@ def open_tiff(path: Path) -> tuple[da.Array, str, Scale]:
         scale, units = scale_in_tiff(tiff, number)
     kept = {axis: step for axis, step in scale.items() if axis in axes}
     return _turned(data, axes, orientation), axes, (kept, {axis: units[axis] for axis in kept})
-
-
-def _series_number(tiff: Any) -> int:
-    """Return which series is the picture; refuse a file of several."""
-    pixels = [prod(series.shape) for series in tiff.series]
-    kind = tiff.series[0].kind
-    others = [n for i, n in enumerate(pixels) if i != pixels.index(max(pixels))]
-    if kind not in _SLIDE_KINDS and others and max(others) >= _LARGEST_EXTRA * max(pixels):
-        raise ValueError(f"it holds {len(pixels)} pictures; one picture, or one stack, is read")
-    return 0 if kind in _SLIDE_KINDS else pixels.index(max(pixels))
 
 
 def _is_memory(tiff: Any, series: Any) -> bool:
@@ -251,20 +250,29 @@ def _mapped(series: Any) -> tuple[da.Array, str]:
 
 def _paged(tiff: Any, series: Any) -> tuple[da.Array, str]:
     page = series.keyframe
-    if page.axes not in _PAGE_AXES or not series.axes.endswith(page.axes):
+    apart = page.axes == "SYX" and series.axes.endswith("CYX")
+    page_axes = "YX" if apart else page.axes
+    if page_axes not in _PAGE_AXES or not series.axes.endswith(page_axes):
         shape = " x ".join(map(str, series.shape))
         raise ValueError(f"its form {shape} (axes {series.axes}) is not read")
     as_stored = bool(tiff.is_imagej)
-    pixel = _colors(np.zeros((1, 1, page.samplesperpixel), page.dtype), page, as_stored)
-    planes: tuple[int, ...] = tuple(series.shape[: -len(page.axes)])
-    files, file_of, offsets = _places(series, planes)
+    samples = 1 if apart else page.samplesperpixel
+    pixel = _colors(np.zeros((1, 1, samples), page.dtype), page, as_stored)
+    planes: tuple[int, ...] = tuple(series.shape[: -len(page_axes)])
+    files, file_of, offsets = _places(series, planes[:-1] if apart else planes)
+    if apart:
+        file_of, offsets = (_for_each_channel(each, planes[-1]) for each in (file_of, offsets))
     whole = (*planes, page.imagelength, page.imagewidth, *pixel.shape[2:])
-    reader = TiffPages(files, file_of, offsets, whole, pixel.dtype, as_stored)
+    reader = TiffPages(files, file_of, offsets, whole, pixel.dtype, as_stored, apart)
     height, width = _segment_size(page)
     sides = (block_side(height, page.imagelength), block_side(width, page.imagewidth))
     blocks = (*(1 for _ in planes), *sides, *pixel.shape[2:])
     letters = _letters(series.axes[: len(planes)] + "YX")
     return lazy_array(reader, blocks), letters + "s" * len(pixel.shape[2:])
+
+
+def _for_each_channel(pages: NDArray[np.int64], channels: int) -> NDArray[np.int64]:
+    return np.repeat(pages[..., None], channels, axis=-1)
 
 
 def _places(

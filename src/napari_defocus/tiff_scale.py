@@ -52,8 +52,8 @@ def unit_of(symbol: str) -> str | None:
 def scale_in_tiff(tiff: Any, series: int = 0) -> Scale:
     """Return the scale of the axes that have one, and their units.
 
-    OME-XML is asked first, then ImageJ's description, then the resolution tags. A resolution in
-    dots an inch is the size of a print, and does not count.
+    OME-XML is asked first, then what LSM says, then ImageJ's description, then the resolution
+    tags. A resolution in dots an inch is the size of a print, and does not count.
 
     Parameters
     ----------
@@ -70,6 +70,8 @@ def scale_in_tiff(tiff: Any, series: int = 0) -> Scale:
     """
     if tiff.ome_metadata:
         return _ome_scale(tiff.ome_metadata, series)
+    if tiff.lsm_metadata:
+        return _lsm_scale(tiff.lsm_metadata)
     if tiff.imagej_metadata:
         return _imagej_scale(tiff.imagej_metadata, tiff.pages.first)
     page = tiff.pages.first
@@ -90,6 +92,11 @@ def _ome_scale(text: str, series: int) -> Scale:
         for axis, name, default in [*found, ("t", "TimeIncrement", "s")]
     ]
     return _with_units({axis: (float(step), unit) for axis, step, unit in steps if step})
+
+
+def _lsm_scale(noted: Mapping[str, Any]) -> Scale:
+    steps = {axis: 1e6 * float(noted.get(f"VoxelSize{axis.upper()}", 0.0)) for axis in "zyx"}
+    return _with_units({axis: (step, "um") for axis, step in steps.items()})
 
 
 def _imagej_scale(noted: Mapping[str, Any], page: Any) -> Scale:

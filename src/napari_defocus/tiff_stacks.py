@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,8 @@ from numpy.typing import NDArray
 
 import napari_defocus
 from napari_defocus.files import UnwritableResult, check_results, unused_name
+from napari_defocus.marks import SOFTWARE, mark_in_tiff
 from napari_defocus.pyramid import halved, level_shapes
-from napari_defocus.results import SOFTWARE, description_in_tiff
 
 TILE = 512
 """px of a tile's side."""
@@ -127,16 +125,7 @@ def made_by(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     No pixels are read.
     """
-    import tifffile
-
-    found = description_in_tiff(path)
-    # Damaged files raise anything; reading them as pictures says what is wrong with them.
-    with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        elements = ElementTree.fromstring(tiff.ome_metadata or "").iter()
-        text = next(element.text for element in elements if element.tag.endswith("}Description"))
-        noted = json.loads(text or "")
-        found = noted if noted["software"] == SOFTWARE else found
-    return found
+    return mark_in_tiff(path)
 
 
 def _check_axes(shape: tuple[int, ...], dtype: np.dtype[Any], axes: str) -> None:

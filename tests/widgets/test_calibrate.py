@@ -104,7 +104,7 @@ def test_kernels_come_as_a_stack_with_scales_and_the_size_of_pixels(viewer, file
         ({"name": "mirror.txt"}, "must end in .npz"),
         ({"name": "."}, "must end in .npz"),
         ({"name": "none/mirror.npz"}, "there is no folder"),
-        ({"name": "taken.npz"}, "exists already"),
+        ({"name": "taken.npz"}, "exists already .a tick at “overwrite” overwrites it"),
     ],
 )
 def test_what_cannot_be_is_refused_before_any_work(viewer, tmp_path, options, saying):

@@ -145,3 +145,69 @@ def test_form_runs_it(viewer, opened, finish, sweep):
     assert "The blur grows by" in widget.status.value
     for field in (widget.image, widget.along, widget.px_per_plane):
         assert len(field.tooltip) > 40
+
+
+def labelled(viewer, sweep, axes):
+    """Add a stack as the second of two channels, or times, whose axes have several letters."""
+    values, order = sweep, "zyx"
+    for axis in axes.lower():
+        if axis not in order:
+            two = axis.upper() in axes
+            values = np.stack([values[:, ::-1], values], -1) if two else values[..., None]
+            order += axis
+    values = values.transpose([order.index(axis) for axis in axes.lower()])
+    return viewer.add_image(values, name="stack", axis_labels=tuple(axes.lower()))
+
+
+def test_times_are_taken_for_planes_with_a_word(viewer, sweep):
+    layer = viewer.add_image(sweep, name="sweep", axis_labels=("time", "y", "x"))
+    assert "“time” was taken for focus" in found_of(viewer, layer, 0).summary
+
+
+def is_shown(field):
+    return not field.native.isHidden()
+
+
+@pytest.mark.display
+@pytest.mark.parametrize(
+    ("axes", "along", "fields"),
+    [
+        ("tczyx", [2], []),
+        ("tCzyx", [2], ["channel"]),
+        ("TCzyx", [2, 0], ["channel", "time"]),
+        ("zTyx", [0, 1], ["time"]),
+        ("zCyx", [0], ["channel"]),
+    ],
+)
+def test_channel_and_time_are_asked_for_where_there_are_several(
+    viewer, opened, sweep, axes, along, fields
+):
+    labelled(viewer, sweep, axes)
+    widget = opened(SharpestPlaneWidget)
+    assert list(widget.along.choices) == along
+    assert is_shown(widget.along) == (len(along) > 1)
+    assert [each.name for each in (widget.channel, widget.time) if is_shown(each)] == fields
+    for field in (getattr(widget, name) for name in fields):
+        assert field.max == 1
+        axis = axes.lower().index(field.name[0])
+        field.value = 1
+        assert viewer.dims.current_step[axis] == 1
+        viewer.dims.set_current_step(axis, 0)
+        assert field.value == 0
+        field.value = 1
+    wanted = widget.wanted()
+    assert (wanted.axis, wanted.count) == (axes.lower().index("z"), 7)
+    np.testing.assert_array_equal(np.squeeze(np.asarray(wanted._stack())), sweep)
+    if len(along) > 1:
+        widget.along.value = axes.lower().index("t")
+        assert not is_shown(widget.time)
+
+
+@pytest.mark.display
+def test_channels_are_no_planes(viewer, opened, messages, sweep):
+    layer = viewer.add_image(sweep[:3], name="stains", axis_labels=("channel", "y", "x"))
+    widget = opened(SharpestPlaneWidget)
+    assert widget.run() is None
+    assert "channels are no planes through focus" in messages()[-1]
+    with pytest.raises(NotAnalysableError, match="channels are no planes"):
+        found_of(viewer, layer, 0)

@@ -10,6 +10,7 @@ from napari.types import LayerDataTuple
 from napari.utils.transforms import CompositeAffine
 from numpy.typing import NDArray
 
+from napari_defocus.axes import known_axis
 from napari_defocus.lazy_arrays import Carried
 from napari_defocus.other_process import run_elsewhere
 from napari_defocus.progress import Progress, silent
@@ -31,6 +32,12 @@ if TYPE_CHECKING:
 
 COLOR_MAP = "turbo"
 """Positions have no best end, unlike a blur."""
+
+NO_PLANES = "it has no planes beside the one that is shown."
+CHANNELS_ONLY = (
+    "channels are no planes through focus. If these are planes, call their axis z "
+    "(the layer's axis_labels)."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +81,8 @@ class BestFocus:
         self.settings.family()
         if not isinstance(self.plane.index[self.axis], int):
             raise NotAnalysableError("the focus must change along a slider of it.")
+        if known_axis(self._label_of_axis) == "c":
+            raise NotAnalysableError(CHANNELS_ONLY)
         if self.count < 2:
             raise NotAnalysableError("it has a single plane there; two or more are compared.")
         if self.px_per_plane is not None and not 0 < self.px_per_plane < np.inf:
@@ -82,6 +91,10 @@ class BestFocus:
                 "the field empty to have it found."
             )
         check_pixels(self.plane.shape)
+
+    @property
+    def _label_of_axis(self) -> str:
+        return str(self.plane.placement["axis_labels"][self.axis])
 
     @property
     def count(self) -> int:
@@ -205,6 +218,8 @@ class BestFocus:
             lines.append("There is no texture to find by how much the blur grows.")
         sure = (found.confidence >= CONFIDENT).mean()
         lines.append(f"Confidence {CONFIDENT:g} or more on {sure:.0%}")
+        if known_axis(self._label_of_axis) == "t":
+            lines.append(f"“{self._label_of_axis}” was taken for focus")
         return "\n".join(lines)
 
 

@@ -68,12 +68,14 @@ class Calibration:
         self._check_file()
 
     def _check_file(self) -> None:
-        from napari_defocus.files import check_results
+        from napari_defocus.files import NeedsForce, check_results
 
         if self.file.suffix.lower() != ".npz":
             raise ValueError("Choose a file to save the lens in; its name must end in .npz.")
         try:
             check_results([self.file], force=self.overwrite)
+        except NeedsForce as error:
+            raise ValueError(error.told("a tick at “overwrite”")) from None
         except OSError as error:
             raise ValueError(str(error)) from None
 

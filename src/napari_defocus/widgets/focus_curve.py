@@ -15,6 +15,7 @@ from napari_defocus.widgets.curve_form import CurveForm
 from napari_defocus.widgets.curve_plot import CurvePlot
 from napari_defocus.widgets.focus_stack import curve_along, go_to_plane, shown_planes
 from napari_defocus.widgets.layers import plane_at
+from napari_defocus.widgets.map_files import saving_failure
 from napari_defocus.widgets.run_panel import RunPanel
 from napari_defocus.widgets.workers import Run
 
@@ -249,7 +250,7 @@ class FocusCurveWidget(RunPanel):
         try:
             self.curve.save(path, force=overwrite)
         except OSError as reason:
-            show_error(str(reason))
+            show_error(saving_failure(reason))
         else:
             self.status.value = f"Saved in {path.name}"
 

@@ -16,7 +16,7 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
-from napari_defocus.files import write_results
+from napari_defocus.files import NeedsForce, UnwritableResult, write_results
 from napari_defocus.results import (
     blur_map_tiff,
     confidence_tiff,
@@ -116,8 +116,18 @@ def write_maps(path: str, layers: Sequence[LayerTuple]) -> list[str]:
         return [str(copy_store(layer, Path(path)))]
     target = _named(Path(path), _result_of(layer))
     # The dialog knows nothing of an ending that the name gets here.
-    write_results({target: _encoded(layer)}, force=target == Path(path))
+    try:
+        write_results({target: _encoded(layer)}, force=target == Path(path))
+    except NeedsForce as error:
+        raise UnwritableResult(saving_failure(error)) from None
     return [str(target)]
+
+
+def saving_failure(error: Exception) -> str:
+    """Return why something chosen in a dialog could not be saved, for those who see the dialog."""
+    if isinstance(error, NeedsForce):
+        return error.told("choosing its full name in the dialog")
+    return str(error)
 
 
 def map_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Image]] | None:

@@ -8,13 +8,15 @@ from magicgui.widgets import ComboBox
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
-from napari_defocus.widgets.best_focus import BestFocus
+from napari_defocus.axes import CHOSEN_BY, known_axis
+from napari_defocus.widgets.best_focus import CHANNELS_ONLY, NO_PLANES, BestFocus
 from napari_defocus.widgets.image_panel import ImagePanel
-from napari_defocus.widgets.layers import NotAnalysableError
+from napari_defocus.widgets.layers import NotAnalysableError, finest
 from napari_defocus.widgets.preferences import preferred_settings
 from napari_defocus.widgets.results import Results
 from napari_defocus.widgets.settings_form import SettingsForm, automatic_field, number_or_none
 from napari_defocus.widgets.showing import showing_results
+from napari_defocus.widgets.slider_number import SliderNumber
 from napari_defocus.widgets.workers import Run
 
 
@@ -28,7 +30,11 @@ class SharpestPlaneWidget(ImagePanel):
     Attributes
     ----------
     along : magicgui.widgets.ComboBox
-        Along which slider the focus changes; only shown if there are several.
+        Along which slider the focus changes; only shown if there are several. Sliders of length
+        1, and of channels, are none.
+    channel, time : SliderNumber
+        Which one is taken; only shown if there are several, and the focus changes along another
+        slider.
     px_per_plane : magicgui.widgets.LineEdit
         By how much the blur grows from plane to plane; empty to find it.
     settings : SettingsForm
@@ -46,6 +52,8 @@ class SharpestPlaneWidget(ImagePanel):
             choices=self._sliders,
             tooltip="Along which slider the focus changes; the others stay where they stand.",
         )
+        self.channel = SliderNumber("channel", napari_viewer.dims)
+        self.time = SliderNumber("time", napari_viewer.dims)
         self.px_per_plane = automatic_field(
             "px_per_plane",
             "blur (px a plane)",
@@ -60,6 +68,8 @@ class SharpestPlaneWidget(ImagePanel):
                 self.image,
                 self.region,
                 self.along,
+                self.channel,
+                self.time,
                 self.px_per_plane,
                 *settings.lens.fields(),
                 settings.max_radius,
@@ -72,6 +82,9 @@ class SharpestPlaneWidget(ImagePanel):
         settings.show_needed(estimating=True, lens=True)
         settings.show_more(False)
         self.image.changed.connect(lambda _: self._on_image())
+        self.along.changed.connect(lambda _: self._follow_sliders())
+        napari_viewer.dims.events.point.connect(self._follow_sliders)
+        napari_viewer.dims.events.order.connect(self._on_order)
         self._choose_active()
         self._on_image()
 
@@ -79,18 +92,48 @@ class SharpestPlaneWidget(ImagePanel):
         return [layer for layer in super()._images(choice) if layer.ndim > 2]
 
     def _sliders(self, _: Any) -> list[tuple[str, int]]:
-        """Return the axes of the layer that are not displayed, the last one first."""
+        """Return the axes along which the focus may change, the most likely first.
+
+        That is the last one that is not displayed; times come after all others.
+        """
+        layer = self.image.value
+        axes = [axis for axis in reversed(self._long_sliders()) if self._kind(axis) != "channel"]
+        axes.sort(key=lambda axis: self._kind(axis) == "time")
+        return [(str(layer.axis_labels[axis]), axis) for axis in axes]
+
+    def _long_sliders(self) -> list[int]:
+        """Return the axes of the layer that are not displayed and have several positions."""
         layer = self.image.value
         if layer is None:
             return []
         first = self._viewer.dims.ndim - layer.ndim
         shown = {axis - first for axis in self._viewer.dims.displayed}
-        hidden = [axis for axis in range(layer.ndim) if axis not in shown]
-        return [(str(layer.axis_labels[axis]), axis) for axis in reversed(hidden)]
+        shape = finest(layer).shape
+        return [axis for axis in range(layer.ndim) if axis not in shown and shape[axis] > 1]
+
+    def _kind(self, axis: int) -> str:
+        """Return whether an axis is that of a channel or a time; "" for others."""
+        letter = known_axis(self.image.value.axis_labels[axis])
+        return CHOSEN_BY.get(letter, "")
 
     def _on_image(self) -> None:
         self.along.reset_choices()
         self.along.visible = len(self.along.choices) > 1
+        self._follow_sliders()
+
+    def _on_order(self, _: Any = None) -> None:
+        self._on_image()
+
+    def _follow_sliders(self, _: Any = None) -> None:
+        """Say which channel and which time are taken, if there are several."""
+        stay = {self._kind(axis): axis for axis in self._long_sliders() if axis != self.along.value}
+        for field in (self.channel, self.time):
+            field.follow(self.image.value, stay.get(field.name))
+
+    def _on_closed(self) -> None:
+        super()._on_closed()
+        self._viewer.dims.events.point.disconnect(self._follow_sliders)
+        self._viewer.dims.events.order.disconnect(self._on_order)
 
     def wanted(self) -> BestFocus:
         """Return what the form asks for now.
@@ -105,7 +148,7 @@ class SharpestPlaneWidget(ImagePanel):
         plane = self._shown_plane()
         self.along.reset_choices()
         if self.along.value is None:
-            raise NotAnalysableError("it has no planes beside the one that is shown.")
+            raise NotAnalysableError(CHANNELS_ONLY if self._long_sliders() else NO_PLANES)
         return BestFocus(
             plane=plane,
             axis=self.along.value,

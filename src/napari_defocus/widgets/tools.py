@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QGridLayout, QWidget
 
 from napari_defocus import Settings
 from napari_defocus.settings import MaskSettings
-from napari_defocus.widgets.map_files import TIFF_ENDINGS, open_map, save_map
+from napari_defocus.widgets.map_files import TIFF_ENDINGS, open_map, save_map, saving_failure
 from napari_defocus.widgets.region_table import wanted_regions
 from napari_defocus.widgets.relief import hide_relief, show_made_relief, wanted_relief
 from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY, STORE, layer_of_result
@@ -266,7 +266,7 @@ class Tools:
         try:
             done = work()
         except (OSError, ValueError, TypeError) as reason:
-            show_error(str(reason))
+            show_error(saving_failure(reason))
         else:
             self._panel.status.value = said(done)
 
