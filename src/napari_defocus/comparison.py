@@ -110,7 +110,7 @@ def compare_psf(
     linearize : {"srgb"}, optional
         Decode the intensities into linear light first.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
@@ -145,7 +145,7 @@ def compare_psf(
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
         noise_variance = noise_variance_of(picture)
-    gradient = gradients(picture.luminance, picture.opaque, window)
+    gradient = gradients(picture.evened, picture.opaque, window)
     rows, columns = (
         np.unique(
             within_picture(window_centers(length, window // _WINDOWS_APART) + pad, full, window)
@@ -162,7 +162,7 @@ def compare_psf(
     power = power[power.any(axis=(1, 2))]
     if not len(power):
         raise ValueError("image has no texture; no PSF family can be told from another")
-    least_noise = max(noise_variance, picture.rounding_variance)
+    least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
     evidence, best_scale = np.empty((2, len(checked), len(power)))
     for index, psf in enumerate(checked):
         progress("Comparing PSF families", index / len(checked))
