@@ -12,6 +12,7 @@ from napari.utils.notifications import notification_manager
 
 import napari_defocus
 from napari_defocus import ShotNoise
+from napari_defocus.intensity import Intensities
 
 
 def has_display():
@@ -138,6 +139,7 @@ class StandIn:
             image_shape=image.shape[:2],
             noise_variance=self.noise_variance,
             psf=arguments["psf"],
+            intensities=Intensities(0.0, 255.0, "number type"),
         )
 
     def estimate_shot_noise(self, image, **arguments):

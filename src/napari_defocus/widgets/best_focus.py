@@ -101,7 +101,7 @@ class BestFocus:
         Raises
         ------
         ValueError
-            If a plane has pixels without a value.
+            If a plane has infinite pixels.
         """
         progress("Reading the planes", 0.0)
         settings = self.settings
@@ -116,7 +116,6 @@ class BestFocus:
             smoothness=settings.smoothness,
             color_sigma=settings.color_sigma,
             linearize=settings.linearize,
-            intensity_range=self.plane.sampled_range(),
         )
         return Results(self._layers(found), self._summary(found))
 
@@ -178,6 +177,7 @@ class BestFocus:
             result,
             settings,
             noise_variance=found.noise_variance,
+            intensities=found.intensities.facts(),
             px_per_plane=found.px_per_plane,
             share_of_plane=found.share_of_plane.tolist(),
         )
