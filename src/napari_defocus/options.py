@@ -113,8 +113,9 @@ IntensityRange = Annotated[
     tuple[float, float] | None,
     typer.Option(
         metavar="LOW HIGH",
-        help="Intensities that mean black and white, such as 0 4095 for 12-bit data. "
-        "The range of the file's data type if left out; 0 to 1 for floats.",
+        help="Intensities that mean black and white, such as 0 4095 for 12-bit data: units of "
+        "noise, and of pictures that are restored. Found if left out, and told; maps do not "
+        "depend on it.",
     ),
 ]
 MapOutputs = Annotated[
