@@ -20,7 +20,7 @@ from dask.delayed import Delayed, delayed
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import DTypeLike, NDArray
 
-from napari_defocus.image import joined_pieces
+from napari_defocus.known import joined_pieces
 from napari_defocus.parts import Part
 
 Parts = list[list[Part]]

@@ -49,8 +49,8 @@ from napari_defocus.block_tasks import (
     windows_of_part,
 )
 from napari_defocus.candidates import Search
-from napari_defocus.image import known_values, limits_of
 from napari_defocus.intensity import Intensities, IntensityRange, Limits, needs_limits
+from napari_defocus.known import known_values, limits_of
 from napari_defocus.lazy_planes import Index, LazyPlanes
 from napari_defocus.maxima import CANDIDATES
 from napari_defocus.noise import ShotNoise

@@ -20,8 +20,9 @@ from scipy.optimize import brentq, nnls
 from scipy.signal import correlate
 
 import napari_defocus
-from napari_defocus.image import given_image, limits_of, prepare_image
+from napari_defocus.image import given_image, prepare_image
 from napari_defocus.intensity import IntensityRange, Limits, needs_limits, range_of_values
+from napari_defocus.known import limits_of
 from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, real_array

@@ -16,6 +16,7 @@ from napari_defocus.intensity import (
     found_intensities,
     needs_limits,
 )
+from napari_defocus.known import check_no_infinity, known_pixels, values_where
 from napari_defocus.settings import Linearize, check_linearize
 
 LUMA_WEIGHTS = (0.299, 0.587, 0.114)
@@ -199,30 +200,6 @@ def prepare_light(
     return prepare_image(given, intensity_range, linearize)
 
 
-def joined_pieces(pieces: list[NDArray[Any]], axis: int) -> NDArray[Any]:
-    """Put pieces of a picture beside each other, with their masks if they have any."""
-    if any(isinstance(piece, np.ma.MaskedArray) for piece in pieces):
-        return np.ma.concatenate(pieces, axis=axis)
-    return np.concatenate(pieces, axis=axis)
-
-
-def known_pixels(image: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Return which pixels of a picture, (..., H, W[, 3 or 4]), have colours; None if all do.
-
-    Those that are fully transparent, NaN in a channel or masked do not.
-    """
-    array, colors = np.ma.getdata(image), image.ndim == 3
-    known = ~np.ma.getmaskarray(image) if np.ma.is_masked(image) else None
-    if array.dtype.kind == "f" and np.isnan(array).any():
-        known = ~np.isnan(array) if known is None else known & ~np.isnan(array)
-    if known is not None and colors:
-        known = known.all(axis=2)
-    if colors and array.shape[2] == 4:
-        opaque = array[..., 3] > 0
-        known = opaque if known is None else known & opaque
-    return None if known is None or known.all() else known
-
-
 def with_unknown(result: NDArray[np.float32], image: ArrayLike) -> NDArray[np.float32]:
     """Return a picture that is NaN where the one that it was made of is NaN or masked.
 
@@ -240,34 +217,6 @@ def with_unknown(result: NDArray[np.float32], image: ArrayLike) -> NDArray[np.fl
     return result
 
 
-def limits_of(image: NDArray[Any]) -> Limits:
-    """Return the smallest and the largest known intensity of a picture, or of a piece of one."""
-    return Limits.of(known_values(image))
-
-
-def known_values(image: NDArray[Any], every: int = 1) -> NDArray[Any]:
-    """Return the intensities of the known pixels of a picture: (N,), of its colours.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) or (H, W, 4) ndarray
-        It may be masked.
-    every : int, optional
-        Only of every so many pixels.
-    """
-    return _known_values(np.ma.getdata(image), known_pixels(image), every)
-
-
-def _known_values(
-    array: NDArray[Any], known: NDArray[np.bool_] | None, every: int = 1
-) -> NDArray[Any]:
-    colors = array[..., :3] if array.ndim == 3 else array[..., None]
-    values = (colors.reshape(-1, colors.shape[2]) if known is None else colors[known])[::every]
-    # Quantiles are counted with, which bool is not made for, and half precision too coarse.
-    counted = {"?": np.uint8, "e": np.float32}.get(array.dtype.char)
-    return (values if counted is None else values.astype(counted)).ravel()
-
-
 def _intensities(
     array: NDArray[Any],
     known: NDArray[np.bool_] | None,
@@ -275,7 +224,7 @@ def _intensities(
 ) -> Intensities:
     if isinstance(intensity_range, Intensities):
         return intensity_range
-    values = _known_values(array, known)
+    values = values_where(array, known)
     if isinstance(intensity_range, Limits):
         return found_intensities(array.dtype, None, intensity_range, values)
     given = checked_range(intensity_range)
@@ -308,17 +257,6 @@ def _checked_array(image: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_] | 
     known, array = known_pixels(given), np.ma.getdata(given)
     check_no_infinity(array, known)
     return array, known
-
-
-def check_no_infinity(
-    array: NDArray[Any], known: NDArray[np.bool_] | None, name: str = "image"
-) -> None:
-    """Refuse a picture with infinite values where it is known."""
-    if array.dtype.kind != "f":
-        return
-    infinite = np.isinf(array if known is None else array[known])
-    if infinite.any():
-        raise ValueError(f"{name} has infinite values; it takes finite ones, NaN where unknown")
 
 
 def checked_range(intensity_range: IntensityRange | None) -> IntensityRange | None:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from napari_defocus.best_focus import RingBank, Sweep
 from napari_defocus.boundaries import Blocks
 from napari_defocus.focus_labels import FocusGrid, fine_detail
-from napari_defocus.image import PreparedImage, checked_range, limits_of, prepare_image
+from napari_defocus.image import PreparedImage, checked_range, prepare_image
 from napari_defocus.intensity import Intensities, IntensityRange, Limits, needs_limits
+from napari_defocus.known import limits_of
 from napari_defocus.noise import noise_variance_of
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
