@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.gabor import gradients, local_power, window_centers, within_picture
 from napari_defocus.image import prepare_image
+from napari_defocus.intensity import Intensities
 from napari_defocus.likelihood import profile_log_likelihood
 from napari_defocus.noise import noise_variance_of
 from napari_defocus.progress import Progress, silent
@@ -55,11 +56,14 @@ class PSFComparison:
         How many windows with any texture were looked at.
     noise_variance : float
         Of the luminance, intensities in [0, 1].
+    intensities : Intensities or None
+        Which intensities of the picture are 0 and 1.
     """
 
     rows: tuple[PSFEvidence, ...]
     windows: int
     noise_variance: float
+    intensities: Intensities | None = None
 
     def __iter__(self) -> Iterator[PSFEvidence]:
         return iter(self.rows)
@@ -172,7 +176,8 @@ def compare_psf(
         evidence[index] = _log_mean_exp(curve)
         best_scale[index] = scales[curve.argmax(axis=1)]
     progress("Comparing PSF families", 1.0)
-    return _comparison(checked, evidence, best_scale, noise_variance)
+    found = _comparison(checked, evidence, best_scale, noise_variance)
+    return replace(found, intensities=picture.intensities)
 
 
 def _name(psf: PSFFamily) -> str:

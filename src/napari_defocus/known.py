@@ -15,13 +15,14 @@ def known_pixels(image: NDArray[Any]) -> NDArray[np.bool_] | None:
 
     Those that are fully transparent, NaN in a channel or masked do not.
     """
-    array, unknown = np.ma.getdata(image), []
+    array = np.ma.getdata(image)
+    unknown: list[NDArray[np.bool_]] = []
     if np.ma.is_masked(image):
         unknown.append(np.ma.getmaskarray(image))
     if array.dtype.kind == "f":
         unknown.append(np.isnan(array))
     if array.ndim == 3:
-        unknown = [channels.any(axis=2) for channels in unknown]
+        unknown = [np.asarray(channels.any(axis=2)) for channels in unknown]
         if array.shape[2] == 4:
             unknown.append(array[..., 3] == 0)
     known = ~np.any(unknown, axis=0) if unknown else None

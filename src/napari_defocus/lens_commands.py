@@ -11,6 +11,7 @@ import typer
 
 import napari_defocus
 from napari_defocus.commands import check_endings, last_lines, run
+from napari_defocus.measurement import intensity_facts
 from napari_defocus.option_groups import Reporting
 from napari_defocus.options import (
     Force,
@@ -161,6 +162,7 @@ def compare(
             "image": str(image),
             "width": picture.shape[1],
             "height": picture.shape[0],
+            **intensity_facts(comparison.intensities),
             "noise_variance": comparison.noise_variance,
             "windows": comparison.windows,
             "families": rows,
@@ -188,6 +190,8 @@ def _calibration_lines(facts: Mapping[str, Any]) -> Iterator[str]:
 
 def _comparison_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
+    if facts.get("intensities"):
+        yield f"intensities  {facts['intensities']}"
     yield f"noise        variance {facts['noise_variance']:.2g}"
     yield f"windows      {facts['windows']} with texture"
     width = max(len(row["psf"]) for row in facts["families"])

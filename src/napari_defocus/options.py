@@ -76,7 +76,7 @@ ColorSigma = Annotated[
     float,
     typer.Option(
         metavar="NUMBER",
-        help="How much intensities (0 to 1) differ where the blur may change easily.",
+        help="How much colours differ where the blur may change easily: a share of the contrast.",
     ),
 ]
 Window = Annotated[
