@@ -104,8 +104,9 @@ class Intensities:
         }
 
     def __str__(self) -> str:
-        contrast = f"{100 * self.contrast:.2g} %" if self.contrast < 1 else "100 %"
-        return f"{self.low:.6g} to {self.high:.6g} ({_ORIGINS[self.origin]}), contrast {contrast}"
+        percent = min(100 * self.contrast, 100.0)
+        told = f"{percent:.0f}" if percent >= 10 else f"{percent:.2g}"
+        return f"{self.low:.6g} to {self.high:.6g} ({_ORIGINS[self.origin]}), contrast {told} %"
 
 
 @dataclass(frozen=True)
