@@ -25,8 +25,10 @@ _WHOLE_RANGES = (255.0, 65535.0)
 _EXTREME, _MARGIN = 1e-3, 1.25
 """Of the span between these quantiles, so much at most is contrast: a few hot pixels are none."""
 
-_LEAST_CONTRAST = 1e-6
-"""Of the largest intensity: what single precision rounds is no contrast."""
+_LEAST_CONTRAST, _LEAST_OF_RANGE = 1e-6, 1e-15
+"""Of the largest intensity: what single precision rounds is no contrast. And of the range, whose
+square is still a number in single precision.
+"""
 
 _CONTRAST_OF_NOISE = 30.0
 """Standard deviations: what is up to noise is no contrast. Noise of 1e-3 is below it."""
@@ -225,7 +227,7 @@ def _contrast(values: NDArray[Any], of: Intensities) -> float:
     if not reach > 0:
         return 1.0
     away = max(abs(least - of.low), abs(largest - of.low))
-    return max(reach, _LEAST_CONTRAST * away) / of.span
+    return max(max(reach, _LEAST_CONTRAST * away) / of.span, _LEAST_OF_RANGE)
 
 
 def _level(values: NDArray[Any]) -> float | None:
