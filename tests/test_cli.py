@@ -19,6 +19,7 @@ from PIL import Image
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
 from napari_defocus.cli import app
+from napari_defocus.intensity import Intensities
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 
 SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
@@ -47,6 +48,7 @@ def instant(monkeypatch):
             noise_variance=1e-4,
             psf=options["psf"],
             shot_noise=noise if isinstance(noise, napari_defocus.ShotNoise) else None,
+            intensities=Intensities(0.0, 255.0, "number type"),
         )
 
     def label_blur_map(candidates, image, **options):
@@ -691,11 +693,11 @@ def test_folder_instead_of_a_picture(path):
 def test_picture_that_the_method_does_not_take(tmp_path):
     Image.new("L", (2, 40)).save(tmp_path / "thin.png")
     assert_fails_in_one_line(run("map", tmp_path / "thin.png"), saying="3 px")
-    tifffile.imwrite(tmp_path / "nan.tif", np.full((40, 40), np.nan, np.float32))
-    assert_fails_in_one_line(run("map", tmp_path / "nan.tif"), saying="NaN")
+    tifffile.imwrite(tmp_path / "infinite.tif", np.full((40, 40), np.inf, np.float32))
+    assert_fails_in_one_line(run("map", tmp_path / "infinite.tif"), saying="infinite values")
     tifffile.imwrite(tmp_path / "complex.tif", np.ones((40, 40), np.complex64))
     assert_fails_in_one_line(run("map", tmp_path / "complex.tif"), saying="complex64")
-    assert names_in(tmp_path) == ["complex.tif", "nan.tif", "thin.png"]
+    assert names_in(tmp_path) == ["complex.tif", "infinite.tif", "thin.png"]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 import napari_defocus
 from napari_defocus import Disc, Settings, ThinLens, depth_from_blur
+from napari_defocus.intensity import Intensities
 from napari_defocus.settings import MapSettings
 
 HEIGHT, WIDTH = 48, 60
@@ -54,7 +55,11 @@ def instant(monkeypatch):
     def estimate_candidates(image, **options):
         calls["candidates"] = options
         return SimpleNamespace(
-            image_shape=image.shape[:2], noise_variance=1e-4, psf=options["psf"], shot_noise=None
+            image_shape=image.shape[:2],
+            noise_variance=1e-4,
+            psf=options["psf"],
+            shot_noise=None,
+            intensities=Intensities(0.0, 255.0, "number type"),
         )
 
     def label_blur_map(candidates, image, **options):

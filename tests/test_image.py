@@ -148,11 +148,11 @@ def test_empty_and_tiny_pictures_are_a_value_error(function, shape):
 
 
 @TAKES_A_PICTURE
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_nan_and_infinity_are_a_value_error(function, value):
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_infinity_is_a_value_error(function, value):
     image = np.zeros((30, 40))
     image[7, 7] = value
-    with pytest.raises(ValueError, match="image has NaN or infinite values"):
+    with pytest.raises(ValueError, match="image has infinite values"):
         function(image)
 
 

@@ -295,10 +295,11 @@ def test_energy_is_the_sum_over_pixels_and_their_pairs(clouds, defocused, mode):
     data = weight * np.moveaxis(data_term(candidates), 2, 0)
     cost = np.stack([map_coordinates(each, at, order=1) for each in data])
     expected = np.take_along_axis(cost, labels[None], 0).sum()
+    sigma = 0.2 * np.ptp(picture)
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
         here = (slice(0, 45 - down), slice(max(0, -right), 62 - max(0, right)))
         there = (slice(down, 45), slice(max(0, right), 62 + min(0, right)))
-        weight = 7 * np.exp(-((picture[here] - picture[there]) ** 2) / (2 * 0.2**2))
+        weight = 7 * np.exp(-((picture[here] - picture[there]) ** 2) / (2 * sigma**2))
         expected += np.sum(weight * np.abs(labels[here] - labels[there]))
     found = labeling_energy(blur_map, candidates, picture, smoothness=7, color_sigma=0.2)
     assert isinstance(found, float)

@@ -15,6 +15,7 @@ from PIL import Image
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, ThinLens, blur_from_depth, simulate_defocus
 from napari_defocus.files import read_picture
+from napari_defocus.intensity import Intensities
 from napari_defocus.restoration import usual_tv_weight
 from napari_defocus.results import blur_map_tiff
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
@@ -47,7 +48,11 @@ def instant(monkeypatch):
     def estimate_candidates(image, **options):
         calls["candidates"] = options
         return SimpleNamespace(
-            image_shape=image.shape[:2], noise_variance=1e-4, psf=options["psf"], shot_noise=None
+            image_shape=image.shape[:2],
+            noise_variance=1e-4,
+            psf=options["psf"],
+            shot_noise=None,
+            intensities=Intensities(0.0, 255.0, "number type"),
         )
 
     def label_blur_map(candidates, image, **options):

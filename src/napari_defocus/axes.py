@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from napari_defocus.image import given_array
+from napari_defocus.image import given_image
 
 COLORS = (1, 3, 4)
 """How many values a pixel may have: grey, colours, colours and opacity."""
@@ -254,7 +254,7 @@ def arranged_image(image: Any, axes: str | None, channel_axis: int | None) -> tu
         if len(np.shape(image) if hasattr(image, "shape") else ()) > 2:
             axis_roles(image.shape, None, None)
         return image, ""
-    array = image if is_lazy(image) else given_array("image", image)
+    array = image if is_lazy(image) else given_image("image", image)
     if any(np.isnan(length) for length in array.shape):
         raise ValueError(
             f"image has shape {array.shape}; it takes a dask array of known size, see its "

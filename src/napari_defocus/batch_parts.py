@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -32,6 +32,7 @@ class PartNote:
     px: int
     counts: PixelCounts
     noise_variance: float
+    intensities: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,8 @@ class PlaneInParts:
         if self.error is not None:
             return failed(known, self.error)
         counts = sum((note.counts for note in self.notes), PixelCounts.none())
-        noise = {"noise_variance": self.notes[0].noise_variance}
+        first = self.notes[0]
+        noise = {"noise_variance": first.noise_variance} | dict(first.intensities)
         row = known | {"status": DONE} | counts.facts() | noise
         row |= self.task.results
         write_note(self.task.row_path, row)
@@ -168,7 +170,7 @@ def _finished(part: _PartTask) -> PartNote | None:
     if known is None or not all(_has(target, part) for target in part.targets):
         return None
     counts = PixelCounts.of_note(known["counts"])
-    return PartNote(_px(part.region), counts, known["noise_variance"])
+    return PartNote(_px(part.region), counts, known["noise_variance"], known["intensities"])
 
 
 def _has(target: Target, part: _PartTask) -> bool:
@@ -197,6 +199,8 @@ def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartN
     for target in part.targets:
         assert target.writer is not None
         target.writer.write_region(_place(part, target), made[target.kind])
-    note = PartNote(_px(part.region), counts, float(noise.known))
-    write_note(part.note, {"counts": counts.note(), "noise_variance": note.noise_variance})
+    intensities = noise.intensities.facts()
+    note = PartNote(_px(part.region), counts, float(noise.known), intensities)
+    noted = {"noise_variance": note.noise_variance, "intensities": intensities}
+    write_note(part.note, {"counts": counts.note()} | noted)
     return note

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import napari_defocus
-from napari_defocus.batch_files import Facts, write_note
+from napari_defocus.batch_files import Facts, read_note, write_note
 from napari_defocus.batch_table import DONE, FAILED, Row, count_pixels
 from napari_defocus.files import write_results
+from napari_defocus.intensity import Limits
 from napari_defocus.marks import ALL_IN_FOCUS, SOFTWARE
 from napari_defocus.measurement import Measurement, measure_map, used
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
@@ -153,6 +154,8 @@ class PlaneTask:
     targets : tuple of Target
     row_path : Path
     plan : BatchPlan
+    stack : Path or None
+        The source, if its restored planes share a range that is found from all of them.
     """
 
     plane: da.Array
@@ -162,6 +165,7 @@ class PlaneTask:
     targets: tuple[Target, ...]
     row_path: Path
     plan: BatchPlan
+    stack: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -186,7 +190,7 @@ def measure_plane(task: PlaneTask) -> Row:
         picture = np.asarray(task.plane.compute(scheduler="synchronous"))
         plan = task.plan
         found = measure_map(picture, plan.settings.map, plan.intensity_range, silent)
-        made = _made_of(found, picture, plan)
+        made = _made_of(found, picture, task)
         _write(task, made, found, picture)
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan)
         row |= task.results
@@ -208,7 +212,8 @@ def reason(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _made_of(found: Measurement, picture: NDArray[Any], plan: BatchPlan) -> dict[str, NDArray[Any]]:
+def _made_of(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> dict[str, NDArray[Any]]:
+    plan = task.plan
     assert found.candidates is not None
     assert found.confidence is not None
     made = {"map": found.trusted(plan.min_confidence), "confidence": found.confidence}
@@ -220,24 +225,55 @@ def _made_of(found: Measurement, picture: NDArray[Any], plan: BatchPlan) -> dict
             intensity_range=plan.intensity_range,
         )
     if "in_focus" in plan.kinds:
-        made["in_focus"] = with_opacity(_restored(found, picture, plan), picture)
+        made["in_focus"] = with_opacity(_restored(found, picture, task), picture)
     return made
 
 
-def _restored(found: Measurement, picture: NDArray[Any], plan: BatchPlan) -> NDArray[Any]:
+def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDArray[Any]:
     """Take away what is safe to take away, as the command for one picture does."""
-    settings = plan.settings.restoration
-    given = settings.noise_variance
+    plan, settings = task.plan, task.plan.settings.restoration
+    common: dict[str, Any] = {
+        "psf": found.psf,
+        "noise_variance": settings.noise_variance,
+        "confidence": found.confidence,
+        "tv_weight": settings.tv_weight,
+        "linearize": plan.settings.map.linearize,
+    }
+    safe = found.cautious(settings.risk)
+    if task.stack is not None:
+        return _restored_in_stack(task, picture, safe, common)
+    if settings.noise_variance is None:
+        common["noise_variance"] = found.noise_variance
     return napari_defocus.restore_all_in_focus(
-        picture,
-        found.cautious(settings.risk),
-        psf=found.psf,
-        noise_variance=found.noise_variance if given is None else given,
-        confidence=found.confidence,
-        tv_weight=settings.tv_weight,
-        linearize=plan.settings.map.linearize,
-        intensity_range=plan.intensity_range,
+        picture, safe, intensity_range=plan.intensity_range, **common
     )
+
+
+def _restored_in_stack(
+    task: PlaneTask, picture: NDArray[Any], safe: NDArray[Any], common: Mapping[str, Any]
+) -> NDArray[Any]:
+    """Restore a plane in the range of all planes, so that they do not flicker."""
+    from napari_defocus.image import prepare_image, with_unknown
+    from napari_defocus.restoration import in_shape_of, restored_colors
+
+    prepared = prepare_image(picture, _stack_limits(task), common["linearize"])
+    return with_unknown(in_shape_of(picture, restored_colors(prepared, safe, **common)), picture)
+
+
+def _stack_limits(task: PlaneTask) -> Limits:
+    """Return the limits of all planes: noted by the first worker that needs them."""
+    from napari_defocus.blocks import limits_of_planes
+
+    assert task.stack is not None
+    path = task.row_path.with_name("limits.json")
+    noted = read_note(path)
+    if noted is not None:
+        return Limits(**noted)
+    source = open_source(task.stack)
+    planes = [source.plane(index) for index in source.planes()]
+    found: Limits = limits_of_planes(planes).compute(scheduler="synchronous")
+    write_note(path, asdict(found))
+    return found
 
 
 def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Row:
@@ -250,7 +286,8 @@ def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Ro
         max_scale=found.psf.max_scale,
     )
     noise = found.noise_variance
-    return counts.facts() | {"noise_variance": None if noise is None else float(noise)}
+    facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
+    return facts | ({} if found.intensities is None else found.intensities.facts())
 
 
 def _write(

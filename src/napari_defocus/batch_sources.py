@@ -31,6 +31,7 @@ from napari_defocus.batch_planes import (
     reason,
 )
 from napari_defocus.batch_table import DONE, Row, source_facts
+from napari_defocus.intensity import needs_limits
 from napari_defocus.ome_zarr_writer import new_ome_zarr
 from napari_defocus.sources import Source
 
@@ -188,10 +189,16 @@ class SourceWork:
                 targets=self.targets,
                 row_path=self.notes.row_path(index),
                 plan=self.plan,
+                stack=self.input.given.absolute() if self._shares_a_range(source) else None,
             )
             for index in self.planes
             if index not in self.rows
         ]
+
+    def _shares_a_range(self, source: Source) -> bool:
+        """Return whether planes are restored in a range that is found from all of them."""
+        several = len(self.planes) > 1 and "in_focus" in self.plan.kinds
+        return several and needs_limits(source.data.dtype, self.plan.intensity_range)
 
     def end(self) -> None:
         """Note that every plane was tried, and that the results are in their places."""

@@ -133,10 +133,15 @@ class Sweep:
 
     @classmethod
     def of(
-        cls, planes: list[Float32], bank: RingBank, noise_variance: float, gain: Float64
+        cls,
+        planes: list[Float32],
+        bank: RingBank,
+        noise_variance: float,
+        gain: Float64,
+        unit: float = 1.0,
     ) -> Sweep:
-        """Join what `RingBank.power` has found in each plane."""
-        variance = max(noise_variance, _LEAST_NOISE)
+        """Join what `RingBank.power` has found in each plane; `unit` is that of `Intensities`."""
+        variance = max(noise_variance, _LEAST_NOISE * unit**2)
         power = np.empty((planes[0][..., 0].size, planes[0].shape[2], len(planes)), np.float32)
         for number, plane in enumerate(planes):
             power[..., number] = plane.reshape(len(power), -1) / np.float32(variance)

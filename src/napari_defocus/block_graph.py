@@ -20,6 +20,7 @@ from dask.delayed import Delayed, delayed
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import DTypeLike, NDArray
 
+from napari_defocus.known import joined_pieces
 from napari_defocus.parts import Part
 
 Parts = list[list[Part]]
@@ -44,7 +45,7 @@ def cut_out(
     ]
     if len(rows) == len(columns) == 1:
         return lines[0][0]
-    return np.concatenate([np.concatenate(line, axis=1) for line in lines], axis=0)
+    return joined_pieces([joined_pieces(line, axis=1) for line in lines], axis=0)
 
 
 def _covering(lengths: tuple[int, ...], part: slice) -> tuple[list[int], list[slice]]:

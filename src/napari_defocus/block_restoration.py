@@ -6,17 +6,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from dask.delayed import Delayed
 from numpy.typing import NDArray
 
-from napari_defocus.block_graph import PartGraph, pixels, placed
+from napari_defocus.block_graph import PartGraph, after, pixels, placed
 from napari_defocus.block_tasks import Noise
-from napari_defocus.blocks import computed, noise_of_plane
-from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.blocks import (
+    computed,
+    intensities_of_plane,
+    limits_of_planes,
+    noise_of_plane,
+)
+from napari_defocus.image import PreparedImage, prepare_image, with_unknown
+from napari_defocus.intensity import Intensities, IntensityRange, needs_limits
 from napari_defocus.lazy_planes import Index, LazyPlanes
 from napari_defocus.parts import Cutting, Part, blended, neighbors
 from napari_defocus.progress import Progress
 from napari_defocus.psf import PSFFamily
-from napari_defocus.restoration import restore_all_in_focus
+from napari_defocus.restoration import in_shape_of, restored_colors
 from napari_defocus.settings import Linearize, MapSettings
 
 Float32 = NDArray[np.float32]
@@ -33,11 +40,13 @@ class PartRestoration:
     noise_variance: float | None
     tv_weight: float | None
     linearize: Linearize | None
-    intensity_range: tuple[float, float] | None
+    intensity_range: IntensityRange | None
 
-    def prepared(self, pixels: NDArray[Any]) -> PreparedImage:
-        """Return the picture as it is restored."""
-        return prepare_image(pixels, self.intensity_range, self.linearize)
+    def prepared(
+        self, pixels: NDArray[Any], intensities: Intensities | None = None
+    ) -> PreparedImage:
+        """Return the picture as it is restored; of a part, with the intensities of its plane."""
+        return prepare_image(pixels, intensities or self.intensity_range, self.linearize)
 
 
 def restore_part(
@@ -49,16 +58,16 @@ def restore_part(
     how: PartRestoration,
 ) -> Float32:
     """Restore what a part sees, and return its own pixels and those that it goes over into."""
-    restored = restore_all_in_focus(
-        pixels,
+    colors = restored_colors(
+        how.prepared(pixels, noise.intensities),
         blur_map,
         psf=how.psf,
         noise_variance=noise.known,
         confidence=confidence,
         tv_weight=how.tv_weight,
         linearize=how.linearize,
-        intensity_range=how.intensity_range,
     )
+    restored = with_unknown(in_shape_of(pixels, colors), pixels)
     return restored[part.own(extended=True)].copy()
 
 
@@ -82,10 +91,13 @@ def restore_planes(
     cutting = Cutting(planes.shape, MapSettings.window, MapSettings.stride, block_size)
     parts = cutting.parts_that_see(_REACH)
     colors = planes.image.shape[-1:] if planes.has_colors else ()
+    shared = _shared_limits(planes, how)
 
     def of_plane(index: Index) -> dict[str, Any]:
-        plane, given, radius = planes.plane(index), how.noise_variance, radii[index]
-        noise = Noise(given) if cutting.alone else noise_of_plane(plane, given, how.prepared)
+        plane, radius = planes.plane(index), radii[index]
+        noise = _noise(plane, how, shared, cutting.alone)
+        if isinstance(noise, Delayed):
+            plane = after(plane, noise)
         certain = None if sure is None else sure[index]
         graph = PartGraph.of("restored", [plane, radius, certain, noise], how, block_size)
         for part, place in placed(parts):
@@ -104,3 +116,24 @@ def restore_planes(
 
     restored = planes.each(of_plane)
     return (computed(restored, progress) if planes.in_memory else restored)["restored"]
+
+
+def _shared_limits(planes: LazyPlanes, how: PartRestoration) -> Any:
+    """Return the limits of all planes, delayed, if their range is found: it must not flicker."""
+    if not (planes.counts and needs_limits(planes.image.dtype, how.intensity_range)):
+        return None
+    return limits_of_planes([planes.plane(index) for index in np.ndindex(planes.counts)])
+
+
+def _noise(plane: Any, how: PartRestoration, shared: Any, alone: bool) -> Any:
+    """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
+    given = how.noise_variance
+    if alone and shared is None:
+        return Noise(given)
+    if shared is not None:
+        plane = after(plane, shared)
+    intensities = intensities_of_plane(plane, how.intensity_range, shared)
+    if not alone:
+        return noise_of_plane(plane, given, how, intensities)
+    graph = PartGraph.of("noise", [intensities], given)
+    return graph.value(graph.add("alone", Noise, given, None, graph.key_of(intensities)))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from napari_defocus.candidates import BlurCandidates, Search, candidates_of
 from napari_defocus.confidence import confidence_and_caution, confidence_map
 from napari_defocus.graphcut import minimize_energy, solve_exactly
 from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.intensity import Intensities, IntensityRange, Limits, found_intensities
 from napari_defocus.labeling import blur_map_of_scene, carried_in, coarse_problem
 from napari_defocus.noise import (
     NoiseSample,
@@ -32,6 +32,17 @@ Problem = tuple[Float32, Float32]
 Found = dict[str, NDArray[Any]]
 
 
+class Preparing(Protocol):
+    """What says how pixels are made ready."""
+
+    @property
+    def intensity_range(self) -> IntensityRange | None:
+        """The range that is given."""
+
+    def prepared(self, pixels: NDArray[Any], intensities: Intensities | None) -> PreparedImage:
+        """Return a picture, or a piece of one whose intensities were found before."""
+
+
 @dataclass(frozen=True)
 class Estimation:
     """How candidates are estimated: what `estimate_candidates` takes, but for the noise."""
@@ -43,15 +54,17 @@ class Estimation:
     spectra: Spectra
     search: Search | None
     linearize: Linearize | None
-    intensity_range: tuple[float, float] | None
+    intensity_range: IntensityRange | None
 
-    def prepared(self, pixels: NDArray[Any]) -> PreparedImage:
-        """Return the picture as spectra see it."""
-        return prepare_image(pixels, self.intensity_range, self.linearize)
+    def prepared(
+        self, pixels: NDArray[Any], intensities: Intensities | None = None
+    ) -> PreparedImage:
+        """Return the picture as spectra see it; of a part, with the intensities of its plane."""
+        return prepare_image(pixels, intensities or self.intensity_range, self.linearize)
 
     def candidates(self, pixels: NDArray[Any], noise: Noise) -> BlurCandidates:
         """Estimate those of a part, or of a plane."""
-        picture = self.prepared(pixels)
+        picture = self.prepared(pixels, noise.intensities)
         variance, shot_noise = noise.of(picture)
         return candidates_of(
             picture,
@@ -68,7 +81,7 @@ class Estimation:
 
 @dataclass(frozen=True)
 class Noise:
-    """The noise of a plane.
+    """The noise of a plane, and the intensities that it is measured in.
 
     Attributes
     ----------
@@ -76,10 +89,13 @@ class Noise:
         By the user.
     variance : float or None
         Its mean over the plane, if a part alone does not know it.
+    intensities : Intensities or None
+        Of the plane, if a part alone does not know them.
     """
 
     given: float | ShotNoise | None
     variance: float | None = None
+    intensities: Intensities | None = None
 
     @property
     def known(self) -> float | None:
@@ -98,12 +114,19 @@ class Noise:
         return noise_variance_of(picture), None
 
     @classmethod
-    def of_samples(cls, given: float | ShotNoise | None, samples: list[NoiseSample]) -> Noise:
-        """Find the mean variance of a plane from pieces of it."""
+    def of_samples(
+        cls,
+        given: float | ShotNoise | None,
+        intensities: Intensities,
+        samples: list[NoiseSample],
+    ) -> Noise:
+        """Find the mean variance of a plane from pieces of it; none are needed if it is given."""
         if isinstance(given, ShotNoise):
             mean = float(np.mean([sample.luminance for sample in samples]))
-            return cls(given, float(given.variance_at(np.array(mean))))
-        return cls(given, noise_variance_of_samples(samples))
+            variance = float(given.variance_at(np.array(mean)))
+        else:
+            variance = noise_variance_of_samples(samples) if given is None else float(given)
+        return cls(given, variance, intensities.above_noise(variance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,16 +204,29 @@ class Wanted:
         return found
 
 
+def join_intensities(
+    dtype: np.dtype[Any],
+    intensity_range: IntensityRange | None,
+    limits: list[Limits],
+    values: list[NDArray[Any]],
+) -> Intensities:
+    """Find the intensities of a plane from pieces: limits of all of it, and some of its values."""
+    known = Limits.joined(limits) if limits else None
+    return found_intensities(dtype, intensity_range, known, np.concatenate(values))
+
+
 def look_at_noise(
-    pixels: NDArray[Any], prepared: Callable[[NDArray[Any]], PreparedImage], every: int
+    pixels: NDArray[Any], how: Preparing, intensities: Intensities, every: int
 ) -> NoiseSample:
     """Return what a piece of a plane shows of the noise."""
-    return NoiseSample.of(prepared(pixels), every)
+    return NoiseSample.of(how.prepared(pixels, intensities), every)
 
 
-def noise_with_variance(pixels: NDArray[Any], how: Estimation, noise: Noise) -> Noise:
-    """Return the noise of a plane that is one part, with its variance."""
-    return Noise(noise.given, noise.of(how.prepared(pixels))[0])
+def noise_with_variance(pixels: NDArray[Any], how: Preparing, noise: Noise) -> Noise:
+    """Return the noise of a plane that is one part, with its variance and its intensities."""
+    picture = how.prepared(pixels, noise.intensities)
+    variance = noise.of(picture)[0]
+    return Noise(noise.given, variance, picture.intensities.above_noise(variance))
 
 
 def survey_part(
@@ -203,7 +239,7 @@ def survey_part(
     wanted: Wanted,
 ) -> dict[str, Problem]:
     """Return what the cells of a part cost, its own ones."""
-    scene = Scene.of(how.candidates(pixels, noise), pixels, how.intensity_range)
+    scene = Scene.of(how.candidates(pixels, noise), pixels)
     own = part.own_cells(levels)
     return {
         name: (data[own].copy(), weights[:, *own].copy())
@@ -245,7 +281,7 @@ def measure_part(
     wanted: Wanted,
 ) -> Found:
     """Return what is asked for of a part: of its own pixels, and of those it goes over into."""
-    scene = Scene.of(how.candidates(pixels, noise), pixels, how.intensity_range)
+    scene = Scene.of(how.candidates(pixels, noise), pixels)
     at = part.cells(levels)
     around = {
         name: CoarseLabels(np.ascontiguousarray(labels[at]), part.own_cells(0), part.inner_sides)

@@ -10,7 +10,7 @@ over into each other. A task takes pixels and returns maps, so that memory is bo
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from operator import itemgetter
@@ -35,9 +35,11 @@ from napari_defocus.block_graph import (
 from napari_defocus.block_tasks import (
     Estimation,
     Noise,
+    Preparing,
     Wanted,
     blend_named,
     join_cells,
+    join_intensities,
     judge_part,
     label_cells,
     look_at_noise,
@@ -47,7 +49,8 @@ from napari_defocus.block_tasks import (
     windows_of_part,
 )
 from napari_defocus.candidates import Search
-from napari_defocus.image import PreparedImage
+from napari_defocus.intensity import Intensities, IntensityRange, Limits, needs_limits
+from napari_defocus.known import known_values, limits_of
 from napari_defocus.lazy_planes import Index, LazyPlanes
 from napari_defocus.maxima import CANDIDATES
 from napari_defocus.noise import ShotNoise
@@ -63,7 +66,8 @@ _THREADS = min(4, os.cpu_count() or 1)
 
 _STEP = "Measuring part by part"
 
-_TIMES, _SHORT = {"measured-": 1.0, "surveyed-": 0.4, "noise-": 0.02}, 0.002
+_TIMES = {"measured-": 1.0, "surveyed-": 0.4, "noise-": 0.02, "intensities-": 0.01}
+_SHORT = 0.002
 """How long tasks take: the share that is done is one of time, so that the rest can be told."""
 
 
@@ -72,6 +76,9 @@ _WHOLE = 4_000_000
 
 _PIECES, _PIECE, _EVERY = 8, 512, 3
 """Of a larger one, in so many pieces a side of so many px, at every third pixel."""
+
+_EVERY_INTENSITY = 25
+"""And there, the contrast is that of so few pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,12 +159,16 @@ class LazyCandidates:
         found = [self.found_noise[index].variance for index in np.ndindex(self.plane_shape)]
         return np.array(found, np.float64).reshape(self.plane_shape)
 
+    @property
+    def intensities(self) -> list[Intensities]:
+        """Of each plane, in order, once the noise was found, see `with_noise`."""
+        found = [self.found_noise[index].intensities for index in np.ndindex(self.plane_shape)]
+        return [one for one in found if one is not None]
+
     def _asked_noise(self, index: Index) -> Any:
         """Return the noise of a plane with its variance, which a small plane finds by itself."""
         noise = self.noise(index)
-        if isinstance(noise, Noise) and isinstance(noise.given, float | int):
-            return Noise(noise.given, float(noise.given))
-        if not self._cutting.alone:
+        if index in self.found_noise or not self._cutting.alone:
             return noise
         return delayed(noise_with_variance)(self.planes.plane(index), self.estimation, noise)
 
@@ -215,8 +226,7 @@ class LazyCandidates:
             return self.found_noise[index]
         if self._cutting.alone:
             return Noise(self.noise_variance)
-        plane = self.planes.plane(index)
-        return noise_of_plane(plane, self.noise_variance, self.estimation.prepared)
+        return noise_of_plane(self.planes.plane(index), self.noise_variance, self.estimation)
 
     def _measured(self, index: Index, wanted: Wanted, seeds: Any) -> dict[str, Any]:
         plane, noise = self.planes.plane(index), self.noise(index)
@@ -299,27 +309,79 @@ def _seeds_of(seeds: Any, part: Part) -> Any:
 
 
 def noise_of_plane(
-    plane: Any, given: float | ShotNoise | None, prepared: Callable[[NDArray[Any]], PreparedImage]
+    plane: Any, given: float | ShotNoise | None, how: Preparing, intensities: Any = None
 ) -> Any:
-    """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one.
+    """Return the noise of a plane as its parts need it, delayed.
 
     Parameters
     ----------
     plane : (H, W) or (H, W, C) dask.array.Array
     given : float, ShotNoise or None
         What is known of it.
-    prepared : callable
-        Makes pixels ready.
+    how : Preparing
+    intensities : dask.delayed.Delayed, optional
+        Those of the plane, if they were asked for before.
     """
-    if not (given is None or isinstance(given, ShotNoise)):
-        return Noise(given)
+    if intensities is None:
+        intensities = intensities_of_plane(plane, how.intensity_range)
+    read, known = after(plane, intensities), PartGraph.key_of(intensities)
     pieces, every = _noise_pieces(plane.shape[:2])
-    graph = PartGraph.of("noise", [plane], given, prepared)
+    graph = PartGraph.of("noise", [read, intensities], given, how)
     samples = [
-        graph.add(number, look_at_noise, pixels(plane, piece), prepared, every)
+        graph.add(number, look_at_noise, pixels(read, piece), how, known, every)
+        for number, piece in enumerate(pieces)
+        if given is None or isinstance(given, ShotNoise)
+    ]
+    return graph.value(graph.add("of samples", Noise.of_samples, given, known, samples))
+
+
+def intensities_of_plane(
+    plane: Any, intensity_range: IntensityRange | None, limits: Any = None
+) -> Any:
+    """Return the intensities of a plane, delayed, as an array of it would have them.
+
+    Of planes above 4 megapixels, the contrast comes from as many pieces as the noise.
+
+    Parameters
+    ----------
+    plane : (H, W) or (H, W, C) dask.array.Array
+    intensity_range : (float, float) or None
+        As given.
+    limits : dask.delayed.Delayed, optional
+        `Limits` to go by instead of the plane's own.
+    """
+    graph = PartGraph.of("intensities", [plane, limits], intensity_range)
+    pieces, every = _noise_pieces(plane.shape[:2])
+    some = 1 if every == 1 else _EVERY_INTENSITY
+    values = [
+        graph.add(number, known_values, pixels(plane, piece), some)
         for number, piece in enumerate(pieces)
     ]
-    return graph.value(graph.add("of samples", Noise.of_samples, given, samples))
+    known = [graph.key_of(limits)]
+    if limits is None:
+        known = (
+            _limits_of_blocks(graph, plane) if needs_limits(plane.dtype, intensity_range) else []
+        )
+    found = join_intensities, plane.dtype, intensity_range, known, values
+    return graph.value(graph.add("of samples", *found))
+
+
+def limits_of_planes(planes: list[Any]) -> Any:
+    """Return the `Limits` of all planes of a stack, delayed: the range that they share."""
+    graph = PartGraph.of("limits", planes)
+    blocks = [key for plane in planes for key in _limits_of_blocks(graph, plane)]
+    return graph.value(graph.add("of all", Limits.joined, blocks))
+
+
+def _limits_of_blocks(graph: PartGraph, plane: Any) -> list[Any]:
+    """Add the tasks that look for the limits of each block of a plane; return their keys."""
+    rows, columns, *colors = plane.numblocks
+    return [
+        graph.add(
+            ("limits of", plane.name, *at), limits_of, (plane.name, *at, *(0 for _ in colors))
+        )
+        for at in np.ndindex(rows, columns)
+    ]
 
 
 def _noise_pieces(shape: tuple[int, int]) -> tuple[list[tuple[slice, slice]], int]:

@@ -20,7 +20,9 @@ from scipy.optimize import brentq, nnls
 from scipy.signal import correlate
 
 import napari_defocus
-from napari_defocus.image import prepare_image
+from napari_defocus.image import given_image, prepare_image
+from napari_defocus.intensity import IntensityRange, Limits, needs_limits, range_of_values
+from napari_defocus.known import limits_of
 from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, real_array
@@ -31,6 +33,7 @@ Float64 = NDArray[np.float64]
 _SAME_SETTING = 0.05
 
 _SATURATED = 1 - 1e-6
+_HEADROOM = 1.01
 _DETECTED_NOISE, _DETECTED_SHARE = 6.0, 0.05
 _FAINT = 0.1
 _MARGIN = 3
@@ -69,7 +72,9 @@ def calibrate_psf(
     max_scale : float, optional
         Largest scale that is looked for, in px; by default the largest in the pictures.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1. Point sources that reach 1 are left out.
+        The intensities that count as 0 and 1. Point sources that reach 1 are left out. By
+        default integers have the range of their type; of floats that leave [0, 1] all pictures
+        share a range that none of them reaches, unless they are whole numbers of 8 or 16 bits.
     names : sequence of str, optional
         What the pictures are called, for the family's provenance.
     progress : callable, optional
@@ -115,6 +120,9 @@ def calibrate_psf(
         given = list(pictures)
     except TypeError:
         raise TypeError(f"pictures is {pictures!r}; it takes a list of pictures") from None
+    if intensity_range is None:
+        references_given = sharp if isinstance(sharp, list | tuple) else [sharp]
+        intensity_range = _shared_range([*given, *references_given])
     blurred = [
         _luminance(picture, f"pictures[{i}]", intensity_range) for i, picture in enumerate(given)
     ]
@@ -180,6 +188,32 @@ def _second_moment(kernel: Float64) -> float:
     center = np.sum(kernel * place, axis=(1, 2)) / kernel.sum()
     spread = np.sum(kernel * (place - center[:, None, None]) ** 2) / kernel.sum()
     return float(spread / 2)
+
+
+def _shared_range(pictures: list[Any]) -> IntensityRange | None:
+    """Return a range for all pictures if it is to be found from their values, else None.
+
+    What reaches 1 is saturated, so that there is room above numbers that say no limit.
+    """
+    seen = [given_image("picture", picture) for picture in pictures if picture is not None]
+    # What is no picture is told with its name, later.
+    floats = [
+        one for one in seen if one.dtype.kind in "uif" and one.ndim in (2, 3) and one.size > 0
+    ]
+    if (
+        not floats
+        or len(floats) < len(seen)
+        or not all(needs_limits(one.dtype, None) for one in floats)
+    ):
+        return None
+    limits = Limits.joined([limits_of(one) for one in floats])
+    low, high = min(limits.least, 0.0), limits.largest
+    if not np.isfinite([low, high]).all() or (low == 0 and high <= 1):
+        return None
+    found = range_of_values(limits, floats[0].dtype)
+    if found.high > high:
+        return found.low, found.high
+    return low, low + _HEADROOM * (high - low)
 
 
 def _luminance(

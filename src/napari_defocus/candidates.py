@@ -12,6 +12,7 @@ from napari_defocus.analysis_grid import AnalysisGrid
 from napari_defocus.axes import arranged_image
 from napari_defocus.gabor import gradients, local_power, padding, window_centers
 from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.intensity import Intensities
 from napari_defocus.lazy_arrays import need_large_extra
 from napari_defocus.likelihood import profile_log_likelihood, quasi_log_likelihood
 from napari_defocus.maxima import CANDIDATES, local_maxima
@@ -80,6 +81,9 @@ class BlurCandidates:
         Which likelihood it is, see `estimate_candidates`.
     shot_noise : ShotNoise or None
         How the noise grows with the intensity, if it was said to.
+    intensities : Intensities or None
+        Which intensities of the picture are 0 and 1, and its contrast. What labels it takes
+        them from here, unless it is given others. None of candidates made by hand.
     """
 
     radii: Float32
@@ -95,6 +99,7 @@ class BlurCandidates:
     stride: int
     mode: Mode
     shot_noise: ShotNoise | None = None
+    intensities: Intensities | None = None
 
     def places_of_window(self) -> NDArray[np.int64]:
         """Return how many places share the window of each: (R, C), above 1 along the border."""
@@ -269,15 +274,16 @@ def estimate_candidates(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
-        Any real dtype; integers are scaled by their dtype's range, floats are taken as
-        [0, 1]. A fourth channel is opacity: fully transparent pixels carry no evidence. A stack
-        of pictures if `axes` or `channel_axis` says so.
+        Any real dtype, in any range: k * image + b has the same candidates. What is not known
+        carries no evidence: pixels that are NaN, masked (numpy.ma), or fully transparent, where
+        a fourth channel is opacity. A stack of pictures if `axes` or `channel_axis` says so.
     psf : PSFFamily or callable, optional
         The family of PSFs; a disc of up to 8 px by default. A function from a scale in px, up
         to 8, to a kernel is a family too.
     noise_variance : float or ShotNoise, optional
-        Variance of the noise in the luminance, intensities in [0, 1], or how it grows with the
-        intensity. By default it is found from the picture, see `estimate_noise_variance`.
+        Variance of the noise in the luminance, intensities in [0, 1] (see `intensity_range`),
+        or how it grows with the intensity. By default it is found from the picture, see
+        `estimate_noise_variance`.
     window : int, optional
         Side N of the analysis window in px, odd, at least 17.
     stride : int, optional
@@ -296,7 +302,11 @@ def estimate_candidates(
         Decode the intensities into linear light first. Blur is linear in radiance; pictures
         for displays are not.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1, and the picture's contrast. By default they are
+        found and told (`BlurCandidates.intensities`): integers of 8 and 16 bits are scaled by
+        their dtype's range, floats that hardly leave [0, 1] are taken as they are. Other floats
+        and wider integers are scaled to [0, 1] from 0 to 255 or from 0 to 65535 if they are
+        whole numbers that fit, else from the smallest to the largest value.
     axes : str, optional
         A letter for each axis of `image`: y, x, s for colours, any others for planes, such as
         "tzyx". Each plane is a picture of its own.
@@ -318,7 +328,7 @@ def estimate_candidates(
     TypeError
         If `image` has no real dtype.
     ValueError
-        If `image` has another shape, a side below 3 px, NaN or infinite values; if
+        If `image` has another shape, a side below 3 px or infinite values; if
         `noise_variance` is negative; if `mode`, `spectra`, `search` or `linearize` is unknown;
         if `window` is no odd number from 17 up, `stride` is not within 1 to `window`, or twice
         the family's largest scale exceeds `window`.
@@ -392,21 +402,22 @@ def candidates_of(
     `noise_variance` is the mean over the whole picture if there is `shot_noise`. Without a
     `search` no maxima are looked for, only the curves: the radii are NaN.
     """
-    gradient = gradients(picture.luminance, picture.opaque, window)
+    gradient = gradients(picture.evened, picture.opaque, window)
     grid = AnalysisGrid.over(picture.shape, window, stride)
     fractions = grid.rows[0] % 1, grid.columns[0] % 1
     table = spectrum_table(psf, window, *fractions, spectra, mixed=mode == "curve")
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = None
     if shot_noise is not None:
-        relative = shot_noise.variance_at(picture.luminance) / max(noise_variance, _TINY)
+        least = _TINY * picture.intensities.unit**2
+        relative = shot_noise.variance_at(picture.luminance) / max(noise_variance, least)
         noisier = grid.mean_over_windows(relative, gradient.pad, window)
     scales = label_scales(psf)
     shape = (len(grid.row_of_window), len(grid.column_of_window))
     radii = np.empty((*shape, CANDIDATES), np.float32)
     log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
     curve = np.empty((*shape, len(scales)), np.float32)
-    least_noise = max(noise_variance, picture.rounding_variance)
+    least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
     for block in grid.blocks():
         progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
         power = local_power(gradient, grid.rows[block], grid.columns, window)
@@ -452,6 +463,7 @@ def candidates_of(
         stride,
         mode,
         shot_noise,
+        picture.intensities.above_noise(noise_variance),
     )
 
 

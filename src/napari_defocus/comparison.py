@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.gabor import gradients, local_power, window_centers, within_picture
 from napari_defocus.image import prepare_image
+from napari_defocus.intensity import Intensities
 from napari_defocus.likelihood import profile_log_likelihood
 from napari_defocus.noise import noise_variance_of
 from napari_defocus.progress import Progress, silent
@@ -55,11 +56,14 @@ class PSFComparison:
         How many windows with any texture were looked at.
     noise_variance : float
         Of the luminance, intensities in [0, 1].
+    intensities : Intensities or None
+        Which intensities of the picture are 0 and 1.
     """
 
     rows: tuple[PSFEvidence, ...]
     windows: int
     noise_variance: float
+    intensities: Intensities | None = None
 
     def __iter__(self) -> Iterator[PSFEvidence]:
         return iter(self.rows)
@@ -110,7 +114,7 @@ def compare_psf(
     linearize : {"srgb"}, optional
         Decode the intensities into linear light first.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
@@ -145,7 +149,7 @@ def compare_psf(
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
         noise_variance = noise_variance_of(picture)
-    gradient = gradients(picture.luminance, picture.opaque, window)
+    gradient = gradients(picture.evened, picture.opaque, window)
     rows, columns = (
         np.unique(
             within_picture(window_centers(length, window // _WINDOWS_APART) + pad, full, window)
@@ -162,7 +166,7 @@ def compare_psf(
     power = power[power.any(axis=(1, 2))]
     if not len(power):
         raise ValueError("image has no texture; no PSF family can be told from another")
-    least_noise = max(noise_variance, picture.rounding_variance)
+    least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
     evidence, best_scale = np.empty((2, len(checked), len(power)))
     for index, psf in enumerate(checked):
         progress("Comparing PSF families", index / len(checked))
@@ -172,7 +176,8 @@ def compare_psf(
         evidence[index] = _log_mean_exp(curve)
         best_scale[index] = scales[curve.argmax(axis=1)]
     progress("Comparing PSF families", 1.0)
-    return _comparison(checked, evidence, best_scale, noise_variance)
+    found = _comparison(checked, evidence, best_scale, noise_variance)
+    return replace(found, intensities=picture.intensities)
 
 
 def _name(psf: PSFFamily) -> str:

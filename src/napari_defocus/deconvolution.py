@@ -12,6 +12,8 @@ They are preconditioned by Wiener-like filters on overlapping tiles, each with i
 the blur is nearly constant in a tile, and what it takes away is what they give back. This is
 what makes it fast: without, ten times as many steps are not enough.
 
+It is solved for in units of the picture's contrast, in which the constants below are meant.
+
 The picture is solved for on a domain that is larger than it by the reach of the PSF, where
 there are no data. Clipped highlights are data on one side only: they say nothing once A f is
 at least as bright.
@@ -42,7 +44,7 @@ _SILENCE = 1e-8
 _CLIPPED = 1 - 1 / 255
 
 _FIRST_ROUNDING, _ROUNDING = 0.02, 1e-3
-"""eps, of the first round and from which on it no longer halves: intensities in [0, 1]."""
+"""eps, of the first round and from which on it no longer halves."""
 
 _STEPS_A_ROUND, _MOST_ROUNDS, _USUAL_ROUNDS = 5, 25, 8
 _TOLERANCE = 3e-3
@@ -83,10 +85,11 @@ class Deconvolution:
         linearize: Linearize | None,
         pool: Executor,
     ) -> None:
-        self._color, self._opaque = picture.color, picture.opaque
+        unit = self._unit = np.float32(picture.intensities.unit)
+        self._color, self._opaque = picture.color / unit, picture.opaque
         self._psf, self._sure, self._pool = psf, sure, pool
-        self._noise_variance = max(noise_variance, _SILENCE)
-        self._tv_weight = tv_weight
+        self._noise_variance = max(noise_variance / float(unit) ** 2, _SILENCE)
+        self._tv_weight = tv_weight / float(unit)
         limit = np.array([_CLIPPED], np.float32)
         clipped = picture.color >= (decode_srgb(limit) if linearize == "srgb" else limit)
         self._clipped = clipped if clipped.any() else None
@@ -109,7 +112,7 @@ class Deconvolution:
             rounding = max(rounding / 2, _ROUNDING)
             if count in _CHECKED_AFTER and self._sure is not None:
                 scales, sharp = self._with_less_blur(scales, sharp)
-        return sharp[self._blur.inner]
+        return sharp[self._blur.inner] * self._unit
 
     def _blur_by(self, scales: Float32) -> None:
         self._blur = BlurOperator(scales, self._psf, self._color.shape[2])

@@ -91,13 +91,13 @@ def asked_windows(
 def _shifts(candidates: BlurCandidates, picture: PreparedImage) -> Float32:
     """Return how far each window moves away from where its fine details are: (2, R, C) windows."""
     stride, window = candidates.stride, candidates.window
-    details = picture.luminance - gaussian_filter(picture.luminance, _DETAIL)
+    details = picture.evened - gaussian_filter(picture.evened, _DETAIL)
     if picture.opaque is not None:
         details[~picture.opaque] = 0
     energy = gaussian_filter(details**2, stride / 2)
     centers = (candidates.row_centers, candidates.column_centers)
     sampled = energy[np.ix_(*(np.rint(center).astype(int) for center in centers))]
-    sampled += max(candidates.noise_variance, _LEAST_ENERGY)
+    sampled += max(candidates.noise_variance / picture.intensities.unit**2, _LEAST_ENERGY)
     # Power has the square of the filters' window, of standard deviation N / 4.
     sigma = window / 4 / np.sqrt(2) / stride
     log_energy = np.log(gaussian_filter(sampled, sigma, mode="nearest"))

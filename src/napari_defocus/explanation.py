@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.candidates import BlurCandidates, check_not_lazy, check_place
 from napari_defocus.confidence import TOLERANCE
 from napari_defocus.evidence import CARRIED_IN, asked_windows, evidence_share
-from napari_defocus.image import PreparedImage, given_array, prepare_image
+from napari_defocus.image import PreparedImage, given_array, given_image, prepare_image
 from napari_defocus.settings import check_flag, check_real
 from napari_defocus.spectrum import LABEL_STEP
 
@@ -177,7 +177,7 @@ def explain_pixel(
         The picture that the candidates came from. With it, it is also told whether the
         labelling took the curve of another window, see `PixelExplanation`.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; those of `candidates` if left out.
 
     Returns
     -------
@@ -339,7 +339,7 @@ def _own_side(
 
     None if it leaves the window its own. It is called on a cut-out that has all that it sees.
     """
-    array = given_array("image", image)
+    array = given_image("image", image)
     if array.shape[:2] != candidates.image_shape:
         raise ValueError(
             f"image has shape {array.shape}; these candidates are of a picture of "
@@ -383,5 +383,6 @@ def _with_picture(
         start = max(0, 2 * ((int(places[0]) - margin) // 2))
         cut.append(slice(start, int(places[-1]) + margin + 2))
         centers.append(places - start)
-    picture = prepare_image(image[tuple(cut)], intensity_range)
+    found = around.intensities if intensity_range is None else intensity_range
+    picture = prepare_image(image[tuple(cut)], found)
     return replace(around, row_centers=centers[0], column_centers=centers[1]), picture

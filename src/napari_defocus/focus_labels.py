@@ -85,6 +85,8 @@ class FocusGrid:
         Of the windows.
     stride : int
         Between the windows, in px.
+    unit : float
+        Of the intensities, see `Intensities.unit`.
     """
 
     cost: Float32
@@ -92,6 +94,7 @@ class FocusGrid:
     steps: int
     blocks: Blocks
     stride: int
+    unit: float = 1.0
 
     @cached_property
     def _limited(self) -> Float32:
@@ -128,7 +131,7 @@ class FocusGrid:
         read : callable
             Returns a plane, given its number; not called where nothing jumps.
         color : (H, W, C) float32 ndarray
-            A picture that is sharp everywhere, for the weights (16).
+            A picture that is sharp everywhere, for the weights (16), divided by `unit`.
         smoothness, color_sigma : float
             lambda_0, per label step, and sigma_lambda of (16).
         progress : callable, optional
@@ -177,7 +180,8 @@ class FocusGrid:
         detail = np.empty((int(near.sum()), planes), np.float32)
         for number in range(planes):
             progress("Looking along the edges", number / planes)
-            detail[:, number] = np.log(fine_detail(read(number), _SURROUNDINGS)[near])
+            energy = fine_detail(read(number), _SURROUNDINGS)[near]
+            detail[:, number] = np.log(energy + _LEAST_ENERGY * np.float32(self.unit) ** 2)
         lack = np.minimum(detail.max(axis=1, keepdims=True) - detail, _DETAIL_DEPTH)
         lack *= _DETAIL_WEIGHT
         row_of = np.maximum(np.cumsum(near.ravel()) - 1, 0)
@@ -224,6 +228,6 @@ class FocusGrid:
 
 
 def fine_detail(picture: PreparedImage, surroundings: float) -> Float32:
-    """Return the energy of details below 1 px around each pixel, at least 1e-9: (H, W)."""
+    """Return the energy of details below 1 px around each pixel: (H, W)."""
     fine = picture.luminance - gaussian_filter(picture.luminance, _FINE)
-    return gaussian_filter(fine**2, surroundings) + _LEAST_ENERGY
+    return gaussian_filter(fine**2, surroundings)

@@ -110,10 +110,10 @@ def label_blur_map(
     smoothness : float, optional
         lambda_0 of (16), for a difference of one label, 0.1 px. Larger maps are smoother.
     color_sigma : float, optional
-        sigma_lambda of (16), intensities in [0, 1]: neighbours whose colours differ by more
-        may differ in blur at little cost.
+        sigma_lambda of (16), as a share of the picture's contrast: neighbours whose colours
+        differ by more may differ in blur at little cost.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; those of `candidates` if left out.
     return_carried_in : bool, optional
         Return also where the map was carried in.
     progress : callable, optional
@@ -181,7 +181,7 @@ def blur_map_of_scene(
 
     If it is a part of a picture, `around` says what the whole picture's blocks want.
     """
-    candidates, blocks, color = scene.own, scene.blocks, scene.picture.color
+    candidates, blocks, color = scene.own, scene.blocks, scene.color
     step = "Making the map coherent"
     progress(step, 0.0)
     cost, block_cost, weights = _problem_of_blocks(scene, smoothness, color_sigma)
@@ -201,7 +201,7 @@ def blur_map_of_scene(
         blocks,
         color,
         smoothness=smoothness,
-        color_sigma=color_sigma,
+        color_sigma=scene.sigma(color_sigma),
         jump=JUMP,
         reach=REACH,
         progress=within(progress, 0.7, 0.9),
@@ -223,7 +223,7 @@ def _problem_of_blocks(
 ) -> tuple[Float32, Float32, Float32]:
     """Return D of (14) for a pixel at each window and for its block, and the blocks' weights."""
     cost = scene.cost(CURVE_WEIGHT)
-    weights = scene.blocks.edge_weights(scene.picture.color, color_sigma, smoothness)
+    weights = scene.blocks.edge_weights(scene.color, scene.sigma(color_sigma), smoothness)
     return cost, cost * scene.blocks.area[..., None], weights
 
 
@@ -341,14 +341,14 @@ def estimate_blur_map(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
-        Any real dtype; integers are scaled by their dtype's range, floats are taken as
-        [0, 1]. A fourth channel is opacity. A stack if `axes` or `channel_axis` says so.
+        Any real dtype, in any range: k * image + b has the same map. NaN, masked and fully
+        transparent pixels are not known. A stack if `axes` or `channel_axis` says so.
     psf, noise_variance, window, stride, linearize, mode
         See `estimate_candidates`.
     smoothness, color_sigma
         See `label_blur_map`.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
     return_confidence : bool, optional
         Return also the probability that each radius is right to 0.5 px, see `confidence_map`.
     axes, channel_axis, block_size
@@ -473,7 +473,7 @@ def labeling_energy(
         labels.astype(np.int32),
         scene.cost(CURVE_WEIGHT),
         scene.blocks,
-        scene.picture.color,
+        scene.color,
         smoothness=smoothness,
-        color_sigma=color_sigma,
+        color_sigma=scene.sigma(color_sigma),
     )

@@ -12,7 +12,7 @@ from scipy import fft
 from scipy.ndimage import distance_transform_edt
 from scipy.signal import oaconvolve
 
-from napari_defocus.image import encode_srgb, given_array, prepare_image
+from napari_defocus.image import encode_srgb, given_array, prepare_light, with_unknown
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily, as_family
 from napari_defocus.settings import Linearize
@@ -71,12 +71,14 @@ def simulate_layered_defocus(
     rng : int or numpy.random.Generator, optional
         Seed or source of the noise.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1. By default floats are taken as they are, and
+        integers as `estimate_candidates` takes them.
 
     Returns
     -------
     picture : (H, W) or (H, W, 3) float32 ndarray
-        Nominally in [0, 1]; noise may go beyond, nothing is clipped.
+        Nominally in [0, 1]; noise may go beyond, nothing is clipped. NaN where `image` is NaN
+        or masked.
     blur_map : (H, W) float32 ndarray
         Scale in px of what the sharp picture shows at each pixel.
 
@@ -101,7 +103,7 @@ def simulate_layered_defocus(
     array([2., 2., 2., 0., 0., 0.], dtype=float32)
     """
     psf = as_family(psf)
-    picture = prepare_image(image, intensity_range, linearize)
+    picture = prepare_light(image, intensity_range, linearize)
     distance = _without_gaps(_checked_depth(depth, picture.shape))
     radii = _checked_radii(radius_of_depth, distance, psf)
     _check_layers(layers)
@@ -114,7 +116,8 @@ def simulate_layered_defocus(
     if noise_variance > 0:
         white = noise.standard_normal(seen.shape, np.float32)
         seen += np.float32(np.sqrt(noise_variance)) * white
-    return seen[..., 0] if seen.shape[2] == 1 else seen, radii.astype(np.float32)
+    seen = with_unknown(seen[..., 0] if seen.shape[2] == 1 else seen, image)
+    return seen, radii.astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class LazyPlanes:
             raise TypeError(
                 f"image has dtype {image.dtype}; it takes a real one (integers, floats or bool)"
             )
-        checked_range(intensity_range, np.dtype(image.dtype))
+        checked_range(intensity_range)
         if in_memory:
             arranged = _as_dask(arranged, arranged.ndim - 2 - has_colors)
         planes = cls(arranged, image.shape, has_colors, in_memory)

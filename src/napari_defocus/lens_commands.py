@@ -11,6 +11,7 @@ import typer
 
 import napari_defocus
 from napari_defocus.commands import check_endings, last_lines, run
+from napari_defocus.measurement import intensity_facts
 from napari_defocus.option_groups import Reporting
 from napari_defocus.options import (
     Force,
@@ -162,6 +163,7 @@ def compare(
             "taken": files.told_choice_in(image),
             "width": picture.shape[1],
             "height": picture.shape[0],
+            **intensity_facts(comparison.intensities),
             "noise_variance": comparison.noise_variance,
             "windows": comparison.windows,
             "families": rows,
@@ -191,6 +193,8 @@ def _comparison_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
     if facts["taken"]:
         yield f"taken        {facts['taken']}"
+    if facts.get("intensities"):
+        yield f"intensities  {facts['intensities']}"
     yield f"noise        variance {facts['noise_variance']:.2g}"
     yield f"windows      {facts['windows']} with texture"
     width = max(len(row["psf"]) for row in facts["families"])

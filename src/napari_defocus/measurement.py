@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from napari_defocus.candidates import BlurCandidates
+    from napari_defocus.intensity import Intensities
     from napari_defocus.noise import ShotNoise
     from napari_defocus.psf import PSFFamily
 
@@ -40,6 +41,8 @@ class Measurement:
         What was read instead of measuring.
     candidates : BlurCandidates or None
         What the map was made of, if it was measured.
+    intensities : Intensities or None
+        What the noise variance is measured in, if it is known.
     """
 
     blur_map: NDArray[Any]
@@ -50,6 +53,7 @@ class Measurement:
     map_file: Path | None = None
     confidence_file: Path | None = None
     candidates: BlurCandidates | None = None
+    intensities: Intensities | None = None
 
     @property
     def image_shape(self) -> tuple[int, int]:
@@ -156,7 +160,17 @@ def label_map(
         noise_variance=candidates.noise_variance,
         shot_noise=candidates.shot_noise,
         candidates=candidates,
+        intensities=candidates.intensities,
     )
+
+
+def intensities_of(
+    picture: NDArray[Any], intensity_range: tuple[float, float] | None
+) -> Intensities:
+    """Return the intensities of a picture whose blur was not measured."""
+    from napari_defocus.image import prepare_image
+
+    return prepare_image(picture, intensity_range).intensities
 
 
 def psf_for(text: str | None, map_file: Path | None) -> str:
@@ -255,7 +269,8 @@ def picture_facts(
     from napari_defocus.files import told_choice_in
 
     height, width = found.image_shape
-    variance = found.noise_variance
+    variance, intensities = found.noise_variance, found.intensities
+    levels = 255.0 if intensities is None else intensities.grey_levels
     return {
         "image": str(image),
         "taken": told_choice_in(image),
@@ -264,10 +279,17 @@ def picture_facts(
         "psf": settings.psf,
         "scale": found.psf.scale_name,
         "noise_variance": variance,
-        "noise_sigma_grey_levels": None if variance is None else 255.0 * variance**0.5,
+        "noise_sigma_grey_levels": None if variance is None else levels * variance**0.5,
+        "grey_levels": levels,
+        **intensity_facts(intensities),
         "shot_noise": asdict(found.shot_noise) if found.shot_noise else None,
         "files": [str(path) for path in outputs],
     }
+
+
+def intensity_facts(intensities: Intensities | None) -> dict[str, Any]:
+    """Return what is told about intensities, in words, too; nothing if they are not known."""
+    return {} if intensities is None else intensities.facts() | {"intensities": str(intensities)}
 
 
 def file_facts(found: Measurement) -> dict[str, Any]:
@@ -299,9 +321,12 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
     if facts["taken"]:
         yield f"taken        {facts['taken']}"
     yield f"lens         {facts['psf']}, scale: {facts['scale']}"
+    if facts.get("intensities"):
+        yield f"intensities  {facts['intensities']}"
     if facts["noise_variance"] is not None:
         variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
-        yield f"noise        variance {variance:.2g} (sigma {sigma:.2f} of 255 grey levels)"
+        levels = f"{facts['grey_levels']:.6g} grey levels"
+        yield f"noise        variance {variance:.2g} (sigma {sigma:.3g} of {levels})"
     if facts["shot_noise"]:
         read, gain = facts["shot_noise"]["read_variance"], facts["shot_noise"]["gain"]
         yield f"             variance {read:.2g} + {gain:.2g} x intensity"

@@ -38,6 +38,8 @@ _BLOCK = 8
 _MOST_LINES = 1024
 _LEAST_SCORE, _LEAST_SUM_OF_SCORES = 5.0, 7.0
 _LEAST_STEP = 1e-4
+"""Between neighbours, in pictures whose level of 8 bits is 1/255."""
+
 _MOST_BLOCKS = 4096
 _COEFFICIENTS = ((0, 1, 1, 0, 2, 1, 2, 2, 0, 3), (1, 0, 1, 2, 0, 2, 1, 2, 3, 0))
 _JPEG_STEPS = range(2, 80)
@@ -111,13 +113,14 @@ def estimate_noise_variance(
     linearize : {"srgb"}, optional
         Decode the intensities first, see `estimate_candidates`.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
 
     Returns
     -------
     float
-        Variance for intensities in [0, 1]; 0 for a constant picture. Independent noise of
-        variance v in each of R, G and B is 0.45 v in luminance.
+        Variance for intensities in [0, 1]; 0 for a constant picture. Of k * image + b, it is
+        the same share of the squared contrast. Independent noise of variance v in each of R, G
+        and B is 0.45 v in luminance.
 
     Raises
     ------
@@ -196,21 +199,25 @@ class NoiseSample:
         To which JPEG has rounded slow changes, in levels of 8 bits; None without it.
     luminance : float
         Its mean, darker than black counting as black.
+    level : float
+        How large a level of 8 bits is in the picture, intensities in [0, 1].
     """
 
     finest: Float64
     fine: Float64
     jpeg_step: float | None
     luminance: float
+    level: float
 
     @classmethod
     def of(cls, picture: PreparedImage, every: int = 1) -> NoiseSample:
         """Look at a prepared picture; of the variances, keep those of every so many pixels."""
-        step = _jpeg_step(picture.luminance)
+        level = picture.intensities.level
+        step = _jpeg_step(picture.luminance, level)
         finest = _local_details(picture, _FINEST)[0][::every]
         fine = np.empty(0) if step is None else _local_details(picture, _FINE)[0][::every]
         bright = float(np.maximum(picture.luminance, 0).mean())
-        return cls(finest, fine, step, bright)
+        return cls(finest, fine, step, bright, level)
 
 
 def noise_variance_of_samples(samples: list[NoiseSample]) -> float:
@@ -223,7 +230,7 @@ def noise_variance_of_samples(samples: list[NoiseSample]) -> float:
     if 2 * len(steps) < len(samples):
         return finest
     fine = _floor(np.concatenate([sample.fine for sample in samples]))
-    return finest + _compression_variance(finest, fine, float(np.median(steps)))
+    return finest + _compression_variance(finest, fine, float(np.median(steps)), samples[0].level)
 
 
 def mean_shot_noise(picture: PreparedImage, noise: ShotNoise) -> float:
@@ -241,7 +248,7 @@ def _local_details(picture: PreparedImage, taps: Float64) -> tuple[Float64, Floa
     `taps` find the details in each axis. For white noise the former is its variance. Places
     that are constant to the last bit (clipped, painted) or transparent are left out.
     """
-    luminance = picture.luminance
+    luminance, unit = picture.evened, picture.intensities.unit
     details = correlate1d(correlate1d(luminance, taps, axis=0), taps, axis=1)
     weight = np.ones_like(luminance) if picture.opaque is None else picture.opaque
     alive = uniform_filter((details != 0) * np.float32(1) * weight, _NEIGHBORHOOD)
@@ -250,19 +257,21 @@ def _local_details(picture: PreparedImage, taps: Float64) -> tuple[Float64, Floa
     kept = alive > 0.5
     if not kept.any():
         return np.zeros(1), np.zeros(1)
-    return energy[kept] / alive[kept], mean[kept]
+    return energy[kept] / alive[kept] * unit**2, mean[kept] * unit
 
 
-def _compression_variance(finest: float, fine: float, step: float) -> float:
+def _compression_variance(finest: float, fine: float, step: float, level: float) -> float:
     """Return how much of JPEG's noise is not in the finest details.
 
     `finest` and `fine` are the variances in the finest details, and in those twice as large.
     """
-    return max(0.0, fine - finest) + _PROCESSING_VARIANCE + step**2 / 12 / _LEVELS**2 / 2
+    of_levels = _PROCESSING_VARIANCE + step**2 / 12 / _LEVELS**2 / 2
+    return max(0.0, fine - finest) + of_levels * (_LEVELS * level) ** 2
 
 
-def _jpeg_step(luminance: Float32) -> float | None:
+def _jpeg_step(luminance: Float32, level: float) -> float | None:
     """Return `_quantization_step` of what was a JPEG, None of what was not."""
+    luminance = luminance / np.float32(_LEVELS * level)
     origin = _origin_of_blocks(luminance)
     step = _quantization_step(luminance, origin or (0, 0))
     return None if origin is None and step <= 1 else step
@@ -345,10 +354,11 @@ def shot_noise_of(picture: PreparedImage) -> ShotNoise:
     """Find the growth of the noise of a prepared picture, see `estimate_shot_noise`."""
     everywhere = _local_details(picture, _FINEST)
     finest = _floor(everywhere[0])
-    step, compression = _jpeg_step(picture.luminance), 0.0
+    level = picture.intensities.level
+    step, compression = _jpeg_step(picture.luminance, level), 0.0
     if step is not None:
         fine = _floor(_local_details(picture, _FINE)[0])
-        compression = _compression_variance(finest, fine, step)
+        compression = _compression_variance(finest, fine, step, level)
     variance = finest + compression
     if variance == 0:
         raise ValueError("image has no noise; its growth with the intensity cannot be found")

@@ -82,7 +82,7 @@ ColorSigma = Annotated[
     float,
     typer.Option(
         metavar="NUMBER",
-        help="How much intensities (0 to 1) differ where the blur may change easily.",
+        help="How much colours differ where the blur may change easily: a share of the contrast.",
     ),
 ]
 Window = Annotated[
@@ -119,8 +119,9 @@ IntensityRange = Annotated[
     tuple[float, float] | None,
     typer.Option(
         metavar="LOW HIGH",
-        help="Intensities that mean black and white, such as 0 4095 for 12-bit data. "
-        "The range of the file's data type if left out; 0 to 1 for floats.",
+        help="Intensities that mean black and white, such as 0 4095 for 12-bit data: units of "
+        "noise, and of pictures that are restored. Found if left out, and told; maps do not "
+        "depend on it.",
     ),
 ]
 MapOutputs = Annotated[

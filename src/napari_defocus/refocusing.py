@@ -10,7 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.blur_operator import checked_scales
 from napari_defocus.depth import checked_side
-from napari_defocus.image import PreparedImage, encode_srgb, prepare_image
+from napari_defocus.image import (
+    PreparedImage,
+    encode_srgb,
+    given_image,
+    prepare_image,
+    with_unknown,
+)
 from napari_defocus.layered import Layers, spread_layers
 from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.progress import Progress, silent, within
@@ -75,8 +81,7 @@ def change_focus(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
-        Any real dtype; integers are scaled by their dtype's range, floats are taken as
-        [0, 1]. A fourth channel is opacity.
+        Any real dtype, see `estimate_candidates`. A fourth channel is opacity.
     blur_map : (H, W) array_like
         The family's scale at every pixel, in px, within its domain; such as from
         `estimate_blur_map`.
@@ -103,14 +108,15 @@ def change_focus(
         up in a lens: highlights become discs, not grey. A highlight that was clipped has the
         light of white, no more; the discs of a real lens would be brighter.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
     Returns
     -------
     float32 ndarray
-        In [0, 1], of the shape of `image`; a fourth channel is its opacity.
+        In [0, 1], which is `intensity_range`, of the shape of `image`; a fourth channel is its
+        opacity. NaN where `image` is NaN or masked.
 
     Raises
     ------
@@ -171,7 +177,7 @@ def change_focus(
             intensity_range=intensity_range,
             progress=within(progress, 0.0, 0.8),
         )
-        sharp = prepare_image(restored, linearize=linearize).color
+        sharp = prepare_image(restored, (0.0, 1.0), linearize).color
         progress = within(progress, 0.8, 1.0)
     layers = _layers(signed, shifted, within(progress, 0.0, 0.1))
     # What was sharp came from the chosen side.
@@ -246,7 +252,8 @@ def _checked_sharp(
     all_in_focus: ArrayLike, picture: PreparedImage, linearize: Linearize | None
 ) -> Float32:
     try:
-        sharp = prepare_image(all_in_focus, linearize=linearize).color
+        floats = given_image("all_in_focus", all_in_focus).dtype.kind == "f"
+        sharp = prepare_image(all_in_focus, (0.0, 1.0) if floats else None, linearize).color
     except (TypeError, ValueError) as error:
         raise type(error)(str(error).replace("image", "all_in_focus", 1)) from None
     if sharp.shape != picture.color.shape:
@@ -262,8 +269,8 @@ def _as_given(light: Float32, image: ArrayLike, linearize: Linearize | None) -> 
     color = np.clip(encode_srgb(light) if linearize == "srgb" else light, 0, 1)
     given = np.asarray(image)
     if given.ndim == 2:
-        return color[..., 0]
-    if given.shape[2] == 4:
+        color = color[..., 0]
+    elif given.shape[2] == 4:
         whole = np.iinfo(given.dtype).max if given.dtype.kind in "ui" else 1
-        return np.dstack([color, np.clip(given[..., 3] / whole, 0, 1).astype(np.float32)])
-    return color
+        color = np.dstack([color, np.clip(given[..., 3] / whole, 0, 1).astype(np.float32)])
+    return with_unknown(color, image)

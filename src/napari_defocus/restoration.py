@@ -13,12 +13,15 @@ from napari_defocus.blur_operator import checked_scales
 from napari_defocus.deconvolution import Deconvolution
 from napari_defocus.image import (
     LUMA_WEIGHTS,
+    PreparedImage,
     encode_srgb,
     given_array,
     prepare_image,
+    with_unknown,
 )
+from napari_defocus.intensity import Intensities
 from napari_defocus.lazy_arrays import need_large_extra
-from napari_defocus.noise import estimate_noise_variance
+from napari_defocus.noise import noise_variance_of
 from napari_defocus.progress import Progress, silent
 from napari_defocus.psf import Disc, PSFFamily, as_family
 from napari_defocus.settings import (
@@ -67,7 +70,8 @@ def restore_all_in_focus(
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
         Any real dtype, see `estimate_candidates`. A stack if `axes` or `channel_axis` says so,
         then `blur_map` and `confidence` are (..., H, W), as `estimate_blur_map` gives them.
-        Transparent pixels are no data; opacity comes back as it was.
+        Pixels that are not known are no data: opacity comes back as it was, and NaN or masked
+        pixels are NaN.
     blur_map : (H, W) array_like
         Scale at every pixel, in px, within the family's domain.
     psf : PSFFamily or callable, optional
@@ -81,11 +85,13 @@ def restore_all_in_focus(
         d = 2 (1 - confidence)^3 px; and where the result does not explain the picture, the
         radius is reduced. Without it, the map is taken as exact.
     tv_weight : float, optional
-        lambda; larger is smoother. 30 v + 3e-5 if left out, v the noise variance of a channel.
+        lambda; larger is smoother. 30 v + 3e-5 if left out, v the noise variance of a channel,
+        for a picture of full contrast; see `usual_tv_weight`.
     linearize : {"srgb"}, optional
         Decode the picture into linear light before, and encode it afterwards.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`. The
+        planes of a stack share what is found.
     axes, channel_axis, block_size
         See `estimate_candidates`.
     progress : callable, optional
@@ -94,8 +100,9 @@ def restore_all_in_focus(
     Returns
     -------
     float32 ndarray
-        Of the shape of `image`, in [0, 1]; of a stack, its planes' axes first and its colours
-        last. A dask array if one came in.
+        Of the shape of `image`, in [0, 1], which is `intensity_range`; NaN where `image` is NaN
+        or masked. Of a stack, its planes' axes first and its colours last. A dask array if one
+        came in.
 
     Raises
     ------
@@ -145,27 +152,57 @@ def restore_all_in_focus(
         planes = LazyPlanes.of(image, roles, intensity_range)
         return restore_planes(planes, blur_map, confidence, how, block_size, progress)
     picture = prepare_image(image, intensity_range, linearize)
+    return with_unknown(
+        in_shape_of(
+            image,
+            restored_colors(
+                picture,
+                blur_map,
+                psf=psf,
+                noise_variance=noise_variance,
+                confidence=confidence,
+                tv_weight=tv_weight,
+                linearize=linearize,
+                progress=progress,
+            ),
+        ),
+        image,
+    )
+
+
+def restored_colors(
+    picture: PreparedImage,
+    blur_map: ArrayLike,
+    *,
+    psf: PSFFamily,
+    noise_variance: float | None,
+    confidence: ArrayLike | None,
+    tv_weight: float | None,
+    linearize: Linearize | None,
+    progress: Progress = silent,
+) -> Float32:
+    """Do the work of `restore_all_in_focus`, which see, on a prepared picture: (H, W, C)."""
     scales = checked_scales(blur_map, picture.shape, psf)
     sure = None if confidence is None else _checked_confidence(confidence, picture.shape)
     progress("Measuring the noise", 0.0)
     if noise_variance is None:
-        noise_variance = estimate_noise_variance(
-            image, linearize=linearize, intensity_range=intensity_range
-        )
+        noise_variance = noise_variance_of(picture)
     channels = picture.color.shape[2]
     if tv_weight is None:
-        tv_weight = usual_tv_weight(noise_variance, channels)
+        tv_weight = usual_tv_weight(noise_variance, channels, picture.intensities)
     noise_variance = _noise_of_a_channel(noise_variance, channels)
     with ThreadPoolExecutor(thread_count()) as pool:
         problem = Deconvolution(picture, psf, sure, noise_variance, tv_weight, linearize, pool)
         sharp = np.clip(problem.solve(scales, progress), 0, 1)
-    if linearize == "srgb":
-        sharp = encode_srgb(sharp)
-    return _in_shape_of(image, sharp)
+    return encode_srgb(sharp) if linearize == "srgb" else sharp
 
 
-def usual_tv_weight(noise_variance: float, channels: int) -> float:
+def usual_tv_weight(
+    noise_variance: float, channels: int, intensities: Intensities | None = None
+) -> float:
     """Return the lambda of (19) that simulations asked for.
+
+    A picture of u times the contrast, with u^2 times the noise, asks for u times as much.
 
     Parameters
     ----------
@@ -173,8 +210,12 @@ def usual_tv_weight(noise_variance: float, channels: int) -> float:
         Of the luminance.
     channels : {1, 3}
         Of the picture.
+    intensities : Intensities, optional
+        Of the picture; without, its contrast is 1.
     """
-    return _TV_OF_NOISE * _noise_of_a_channel(noise_variance, channels) + _LEAST_TV
+    unit = 1.0 if intensities is None else intensities.unit
+    noise = _noise_of_a_channel(noise_variance, channels) / unit**2
+    return unit * (_TV_OF_NOISE * noise + _LEAST_TV)
 
 
 def _noise_of_a_channel(noise_variance: float, channels: int) -> float:
@@ -195,7 +236,7 @@ def _checked_confidence(confidence: ArrayLike, shape: tuple[int, int]) -> Float3
     return array.astype(np.float32)
 
 
-def _in_shape_of(image: ArrayLike, color: Float32) -> Float32:
+def in_shape_of(image: ArrayLike, color: Float32) -> Float32:
     """Return a picture's colour with its number of channels, and its own opacity."""
     array = np.asarray(image)
     if array.ndim == 2:

@@ -22,6 +22,7 @@ from napari_defocus.measurement import (
     beside,
     file_facts,
     find_blur,
+    intensities_of,
     lines_of,
     map_facts,
     picture_facts,
@@ -106,7 +107,8 @@ def restore(
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
         noise = _noise_variance(found, picture, settings, settings.linearize, intensity_range)
         found = replace(found, noise_variance=noise)
-        weight = _weight(tv_weight, noise, picture)
+        found = _with_intensities(found, picture, intensity_range)
+        weight = _weight(tv_weight, noise, found, picture)
         facts = picture_facts(image, outputs, found, settings)
         facts |= file_facts(found) | map_facts(found) | {"tv_weight": weight}
         sharp = _restored(
@@ -169,7 +171,8 @@ def refocus(
         found = find_blur(picture, settings, intensity_range, known_map, map_confidence, first)
         light: Linearize | None = "srgb" if encoding == "srgb" else None
         noise = _noise_variance(found, picture, settings, light, intensity_range)
-        weight = _weight(tv_weight, noise, picture)
+        found = _with_intensities(found, picture, intensity_range)
+        weight = _weight(tv_weight, noise, found, picture)
         change |= {"restoring_noise_variance": noise, "tv_weight": weight, "risk": risk}
         facts = picture_facts(image, outputs, found, settings)
         facts |= file_facts(found) | map_facts(found) | change
@@ -339,13 +342,24 @@ def _encoded(
     }
 
 
-def _weight(tv_weight: float | None, noise_variance: float, picture: NDArray[Any]) -> float:
+def _with_intensities(
+    found: Measurement, picture: NDArray[Any], intensity_range: tuple[float, float] | None
+) -> Measurement:
+    """Return the same with the intensities that the picture is restored in."""
+    if found.intensities is not None:
+        return found
+    return replace(found, intensities=intensities_of(picture, intensity_range))
+
+
+def _weight(
+    tv_weight: float | None, noise_variance: float, found: Measurement, picture: NDArray[Any]
+) -> float:
     """Return the lambda that is given, or the usual one."""
     if tv_weight is not None:
         return tv_weight
     from napari_defocus.restoration import usual_tv_weight
 
-    return usual_tv_weight(noise_variance, 1 if picture.ndim == 2 else 3)
+    return usual_tv_weight(noise_variance, 1 if picture.ndim == 2 else 3, found.intensities)
 
 
 def _weight_line(facts: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 import napari_defocus
-from napari_defocus.image import prepare_image
+from napari_defocus.image import prepare_image, shown_colors
 from napari_defocus.marks import ALL_IN_FOCUS, SOFTWARE, marked_png, said_by
 from napari_defocus.psf import Disc
 from napari_defocus.settings import MapSettings
@@ -106,7 +106,7 @@ def picture_png(picture: ArrayLike, source: ArrayLike, quantity: str = ALL_IN_FO
     Parameters
     ----------
     picture : (H, W) or (H, W, 3) or (H, W, 4) array_like
-        In [0, 1]; what is beyond is clipped.
+        In [0, 1]; what is beyond is clipped, and NaN is transparent.
     source : array_like
         The picture that it was made from.
     quantity : str, optional
@@ -120,8 +120,19 @@ def picture_png(picture: ArrayLike, source: ArrayLike, quantity: str = ALL_IN_FO
     import imagecodecs
 
     dtype = np.uint8 if np.asarray(source).dtype.itemsize == 1 else np.uint16
-    levels = np.iinfo(dtype).max * np.clip(np.asarray(picture, np.float32), 0.0, 1.0)
+    shown = _transparent_unknown(np.asarray(picture, np.float32))
+    levels = np.iinfo(dtype).max * np.clip(shown, 0.0, 1.0)
     return marked_png(bytes(imagecodecs.png_encode(np.rint(levels).astype(dtype))), quantity)
+
+
+def _transparent_unknown(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a picture without NaN, with an opacity of 0 where it had some."""
+    colors = picture[..., :3] if picture.ndim == 3 else picture[..., None]
+    known = ~np.isnan(colors).any(axis=2, keepdims=True)
+    if known.all():
+        return picture
+    opacity = picture[..., 3:] if picture.shape[2:] == (4,) else np.float32(1)
+    return np.concatenate([np.where(known, colors, np.float32(0)), known * opacity], axis=2)
 
 
 def with_opacity(picture: ArrayLike, source: ArrayLike) -> NDArray[np.float32]:
@@ -373,7 +384,8 @@ def overlay_png(
     mask : (H, W) array_like
         Non-zero in focus, 0 out of focus.
     intensity_range : (float, float), optional
-        The intensities shown as black and white, instead of the dtype's range.
+        The intensities shown as black and white, instead of those that are found; a picture
+        that fills less than half of them is brightened.
 
     Returns
     -------
@@ -381,7 +393,7 @@ def overlay_png(
         An 8-bit RGB PNG: the part out of focus dimmed, a thin outline around the rest.
     """
     focused = np.asarray(mask) != 0
-    color = np.clip(prepare_image(image, intensity_range).color, 0.0, 1.0)
+    color = shown_colors(prepare_image(image, intensity_range))
     shown = np.where(focused[..., None], color, DIMMED * color)
     shown = np.broadcast_to(shown, (*focused.shape, 3)).copy()
     shown[_outline(focused)] = OUTLINE_COLOR

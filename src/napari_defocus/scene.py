@@ -58,7 +58,7 @@ class Scene:
         image: ArrayLike,
         intensity_range: tuple[float, float] | None = None,
     ) -> Scene:
-        """Prepare the picture that candidates came from.
+        """Prepare the picture that candidates came from, with their intensities.
 
         Raises
         ------
@@ -72,6 +72,17 @@ class Scene:
         own = on_own_side(candidates, picture)
         centers = candidates.row_centers, candidates.column_centers
         return cls(candidates, own, picture, Blocks.around(*centers, picture.shape))
+
+    @cached_property
+    def color(self) -> Float32:
+        """The colours, divided by the unit of the intensities, see `sigma`."""
+        unit = self.picture.intensities.unit
+        return self.picture.color if unit == 1 else self.picture.color / np.float32(unit)
+
+    def sigma(self, color_sigma: float) -> float:
+        """Return sigma_lambda of (16), a share of the contrast, as `color` has it."""
+        intensities = self.picture.intensities
+        return color_sigma * intensities.contrast / intensities.unit
 
     @cached_property
     def _data_term(self) -> Float32:
@@ -88,7 +99,9 @@ def _picture_of(
     candidates: BlurCandidates, image: ArrayLike, intensity_range: tuple[float, float] | None
 ) -> PreparedImage:
     """Prepare the picture that candidates came from, or say that it is another one."""
-    picture = prepare_image(image, intensity_range)
+    picture = prepare_image(
+        image, candidates.intensities if intensity_range is None else intensity_range
+    )
     if picture.shape != candidates.image_shape:
         raise ValueError(
             f"image is {picture.shape[0]} x {picture.shape[1]} px; these candidates are of a "

@@ -59,11 +59,11 @@ def segment_in_focus(
     smoothness : float, optional
         lambda_0 of (16) for a boundary between two pixels. Larger masks have fewer parts.
     color_sigma : float, optional
-        sigma_lambda of (16), intensities in [0, 1].
+        sigma_lambda of (16), as a share of the picture's contrast.
     seeds : (H, W) integer array_like, optional
         What is known: 1 in focus, 2 blurred, 0 not known. The mask is never otherwise there.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; those of `candidates` if left out.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
@@ -127,7 +127,7 @@ def mask_of_scene(
     """
     check_weights(smoothness, color_sigma)
     check_threshold(threshold, float(scene.own.scales[-1]))
-    blocks, color = scene.blocks, scene.picture.color
+    blocks, color = scene.blocks, scene.color
     fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, scene.picture.shape))
     progress(_STEP, 0.0)
     cost, block_cost, weights = _problem_of_blocks(scene, threshold, smoothness, color_sigma, fixed)
@@ -144,7 +144,7 @@ def mask_of_scene(
         blocks,
         color,
         smoothness=smoothness,
-        color_sigma=color_sigma,
+        color_sigma=scene.sigma(color_sigma),
         jump=1,
         reach=_reach(scene.own),
         fixed=fixed,
@@ -164,7 +164,8 @@ def _problem_of_blocks(
     """Return D of (18) for a pixel at each window and for its block, and the blocks' weights."""
     cost = focus_cost(scene, threshold)
     share = 1.0 if scene.own.mode == "paper" else _BLOCK_SHARE
-    weights = scene.blocks.edge_weights(scene.picture.color, color_sigma, share * smoothness)
+    sigma = scene.sigma(color_sigma)
+    weights = scene.blocks.edge_weights(scene.color, sigma, share * smoothness)
     block_cost = cost * scene.blocks.area[..., None]
     if fixed is not None:
         block_cost += _seed_cost(fixed, scene.blocks)

@@ -56,7 +56,7 @@ class MapSettings:
     smoothness : float
         lambda_0 of (16), per label step of 0.1 px.
     color_sigma : float
-        sigma_lambda of (16), intensities in [0, 1].
+        sigma_lambda of (16), as a share of the picture's contrast.
     mode : {"curve", "paper"}
         The paper's method to the letter, or with what measurements added to it: a
         quasi-likelihood, and its whole curve as data term of (14).
@@ -159,7 +159,7 @@ class MaskSettings:
     smoothness : float
         lambda_0 of (16) for the mask.
     color_sigma : float
-        sigma_lambda of (16) for the mask, intensities in [0, 1].
+        sigma_lambda of (16) for the mask, as a share of the picture's contrast.
     """
 
     threshold: float = 2.0

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from napari_defocus.best_focus import RingBank, Sweep
 from napari_defocus.boundaries import Blocks
 from napari_defocus.focus_labels import FocusGrid, fine_detail
-from napari_defocus.image import PreparedImage, prepare_image
+from napari_defocus.image import PreparedImage, checked_range, prepare_image
+from napari_defocus.intensity import Intensities, IntensityRange, Limits, needs_limits
+from napari_defocus.known import limits_of
 from napari_defocus.noise import noise_variance_of
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.psf import Disc, PSFFamily
@@ -41,6 +43,7 @@ _STEPS, _PX_A_STEP = 4, 0.125
 _ASSUMED_SPEED = 1.0
 _DETAIL_AREA = 2.0
 _LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
+_DARKEST = 0.001
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,6 +70,8 @@ class SharpestPlane:
         there was no texture to find it by.
     noise_variance : float
         Of the luminance, intensities in [0, 1], given or found.
+    intensities : Intensities
+        Which intensities of all planes are 0 and 1, and the contrast of the sharpest pixels.
     """
 
     position: Float32
@@ -76,6 +81,7 @@ class SharpestPlane:
     share_of_plane: Float64
     px_per_plane: float
     noise_variance: float
+    intensities: Intensities
 
     @property
     def best(self) -> int:
@@ -109,15 +115,15 @@ def sharpest_plane(
     are made coherent as a blur map is, see `label_blur_map`, and follow the picture's edges where
     they jump; where there is no texture, they are carried in from around.
 
-    Planes are read one at a time, two or three times each, and never all at once.
+    Planes are read one at a time, two to four times each, and never all at once.
 
     Parameters
     ----------
     stack : (Z, H, W) or (Z, H, W, 3) or (Z, H, W, 4) array_like
         Two planes or more, in order, aligned with each other; numpy, dask, zarr, or anything
-        else with a shape, a dtype and planes by index. Any real dtype; integers are scaled by
-        their dtype's range, floats are taken as [0, 1]. A fourth channel is opacity.
-        Axes of length 1 do not count.
+        else with a shape, a dtype and planes by index. Any real dtype, see
+        `estimate_candidates`; all planes have the range of all. A fourth channel is opacity;
+        pixels that are NaN or masked are not known. Axes of length 1 do not count.
     axes : str, optional
         What each axis is, such as "zyx", "yxzs" or "tczyx": y, x, s for colours, c for channels,
         t for times, and another letter for the planes. Channels are never taken for planes,
@@ -142,11 +148,11 @@ def sharpest_plane(
         lambda_0 of (16), for a difference of one label. That is a quarter of a plane, more if
         the blur grows by less than 0.5 px a plane: 0.125 px then, up to a whole plane.
     color_sigma : float, optional
-        sigma_lambda of (16), intensities in [0, 1].
+        sigma_lambda of (16), as a share of the contrast.
     linearize : {"srgb"}, optional
         Decode the intensities into linear light first.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
@@ -160,9 +166,9 @@ def sharpest_plane(
         If `stack` holds no real numbers; if `channel` or `time` is no whole number.
     ValueError
         If `stack` has other axes, channels or times of which none is chosen, less than two
-        planes, a side below 3 px, or a plane with NaN or infinite values; if `axes` and
-        `channel_axis` do not fit it, or both are given; if `px_per_plane` is not above 0; and as
-        in `estimate_candidates` and `label_blur_map`.
+        planes, a side below 3 px, or a plane with infinite values; if `axes` and `channel_axis`
+        do not fit it, or both are given; if `px_per_plane` is not above 0; and as in
+        `estimate_candidates` and `label_blur_map`.
 
     Notes
     -----
@@ -190,11 +196,14 @@ def sharpest_plane(
     _check_settings(px_per_plane, noise_variance, stride, window)
     check_weights(smoothness, color_sigma)
     check_linearize(linearize)
-    read = _Reader(planes, intensity_range, linearize)
+    read = _Reader.of(planes, intensity_range, linearize)
     height, width = planes.shape[:2]
     bank = RingBank.over((height, width), psf, window, stride)
     coarse = RingBank.over((height, width), psf, max(window, _SPEED_WINDOW), _SPEED_STRIDE)
-    (sweep, wide), color = _look(read, (bank, coarse), noise_variance, within(progress, 0.0, 0.4))
+    (sweep, wide), color, intensities = _look(
+        read, (bank, coarse), noise_variance, within(progress, 0.0, 0.4)
+    )
+    unit = intensities.unit
     progress("Finding the blur from plane to plane", 0.4)
     if px_per_plane is None:
         # What a window mixes, in scale or in frequency, makes the blur seem to grow slower.
@@ -208,12 +217,12 @@ def sharpest_plane(
     cost = sweep.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
     blocks = Blocks.around(bank.rows, bank.columns, (height, width))
     excess = sweep.excess().reshape(cost.shape[:2])
-    grid = FocusGrid(cost, excess, steps, blocks, stride)
+    grid = FocusGrid(cost, excess, steps, blocks, stride, unit)
     position = grid.position(
         read,
-        color,
+        color if unit == 1 else color / np.float32(unit),
         smoothness=smoothness,
-        color_sigma=color_sigma,
+        color_sigma=color_sigma * intensities.contrast / unit,
         progress=within(progress, 0.6, 0.85),
     )
     progress("Measuring the confidence", 0.85)
@@ -227,6 +236,7 @@ def sharpest_plane(
         share_of_plane=np.bincount(plane.ravel(), minlength=len(planes)) / plane.size,
         px_per_plane=speed,
         noise_variance=sweep.noise_variance,
+        intensities=intensities,
     )
 
 
@@ -248,8 +258,21 @@ class _Reader:
     """Reads planes and makes them ready."""
 
     planes: StackPlanes
-    intensity_range: tuple[float, float] | None
+    intensity_range: IntensityRange | Limits | None
     linearize: Linearize | None
+
+    @classmethod
+    def of(
+        cls,
+        planes: StackPlanes,
+        intensity_range: IntensityRange | None,
+        linearize: Linearize | None,
+    ) -> _Reader:
+        """Look at all planes for the range that they share, if it is not known without."""
+        if not needs_limits(planes.dtype, checked_range(intensity_range)):
+            return cls(planes, intensity_range, linearize)
+        limits = [limits_of(planes.read(number)) for number in range(len(planes))]
+        return cls(planes, Limits.joined(limits), linearize)
 
     def __call__(self, number: int) -> PreparedImage:
         plane = self.planes.read(number)
@@ -263,10 +286,10 @@ def _look(
     banks: tuple[RingBank, ...],
     noise_variance: float | None,
     progress: Progress,
-) -> tuple[list[Sweep], Float32]:
+) -> tuple[list[Sweep], Float32, Intensities]:
     """Read all planes: their power, and each pixel's colour where it has the most detail."""
     power: list[list[Float32]] = [[] for _ in banks]
-    noise, brightness = [], []
+    noise, brightness, darkness = [], [], []
     most, color = np.zeros((0, 0), np.float32), np.zeros((0, 0, 0), np.float32)
     count = len(read.planes)
     for number in range(count):
@@ -276,26 +299,31 @@ def _look(
             found.append(bank.power(picture))
         noise.append(noise_variance_of(picture) if noise_variance is None else noise_variance)
         brightness.append(float(picture.luminance.mean()))
+        darkness.append(float(np.quantile(picture.luminance, _DARKEST)))
         detail = fine_detail(picture, _DETAIL_AREA)
         if number == 0:
             most, color = detail, picture.color.copy()
         else:
             sharper = detail > most
             color[sharper], most[sharper] = picture.color[sharper], detail[sharper]
-    variance, gain = float(np.median(noise)), _gains(np.array(brightness))
+    variance = float(np.median(noise))
+    intensities = picture.intensities.with_contrast_of(color).above_noise(variance)
+    gain = _gains(np.array(brightness) - min(darkness), intensities.contrast)
     sweeps = [
-        Sweep.of(found, bank, variance, gain) for found, bank in zip(power, banks, strict=True)
+        Sweep.of(found, bank, variance, gain, intensities.unit)
+        for found, bank in zip(power, banks, strict=True)
     ]
-    return sweeps, color
+    return sweeps, color, intensities
 
 
-def _gains(brightness: Float64) -> Float64:
+def _gains(brightness: Float64, contrast: float) -> Float64:
     """Return how bright planes are against the others; 1 where their means cannot tell.
 
-    Blur leaves the mean as it is, a lamp that flickers does not.
+    Blur leaves the mean as it is, a lamp that flickers does not. It is counted from the darkest
+    places, since cameras add an offset.
     """
     middle = float(np.median(brightness))
-    if middle < _LEAST_BRIGHTNESS:
+    if middle < _LEAST_BRIGHTNESS * contrast:
         return np.ones(len(brightness))
     gain = brightness / middle
     even = gain.min() > 1 / _LARGEST_DRIFT and gain.max() < _LARGEST_DRIFT

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.blur_operator import BlurOperator, checked_scales
-from napari_defocus.image import prepare_image
+from napari_defocus.image import prepare_light, with_unknown
 from napari_defocus.psf import Disc, PSFFamily, as_family, check_number
 
 Float32 = NDArray[np.float32]
@@ -39,12 +39,14 @@ def simulate_defocus(
     rng : int or numpy.random.Generator, optional
         Seed or source of the noise.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1.
+        The intensities that count as 0 and 1. By default floats are taken as they are, and
+        integers as `estimate_candidates` takes them.
 
     Returns
     -------
     (H, W) or (H, W, 3) float32 ndarray
-        Nominally in [0, 1]; noise may go beyond, nothing is clipped.
+        Nominally in [0, 1]; noise may go beyond, nothing is clipped. NaN where `image` is NaN
+        or masked.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def simulate_defocus(
            [0.025, 0.145, 0.025]], dtype=float32)
     """
     psf = as_family(psf)
-    picture = prepare_image(image, intensity_range)
+    picture = prepare_light(image, intensity_range)
     scales = checked_scales(blur_map, picture.shape, psf)
     noise = noise_for(noise_variance, rng)
     blur = BlurOperator(scales, psf, picture.color.shape[2])
@@ -71,7 +73,7 @@ def simulate_defocus(
     if noise_variance > 0:
         white = noise.standard_normal(blurred.shape, np.float32)
         blurred += np.float32(np.sqrt(noise_variance)) * white
-    return blurred[..., 0] if blurred.shape[2] == 1 else blurred
+    return with_unknown(blurred[..., 0] if blurred.shape[2] == 1 else blurred, image)
 
 
 def noise_for(noise_variance: float, rng: int | np.random.Generator | None) -> np.random.Generator:

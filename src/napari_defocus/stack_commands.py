@@ -11,7 +11,7 @@ import typer
 
 import napari_defocus
 from napari_defocus.commands import check_endings, last_lines, run
-from napari_defocus.measurement import beside
+from napari_defocus.measurement import beside, intensity_facts
 from napari_defocus.option_groups import Reporting
 from napari_defocus.options import (
     ColorSigma,
@@ -224,6 +224,7 @@ def _facts(source: Source, found: SharpestPlane, outputs: _Outputs) -> dict[str,
         "planes": len(found.share_of_plane),
         "px_per_plane": float(found.px_per_plane) if known else None,
         "noise_variance": float(found.noise_variance),
+        **intensity_facts(found.intensities),
         "best_plane": found.best,
         "share_of_plane": found.share_of_plane.tolist(),
         "confident_percent": 100.0 * float((found.confidence >= CONFIDENT).mean()),
@@ -245,6 +246,8 @@ def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
             yield f"{name:<12} {facts[name]} (from 0)"
     if facts["focus_note"]:
         yield f"focus        {facts['focus_note']}"
+    if facts.get("intensities"):
+        yield f"intensities  {facts['intensities']}"
     if facts["px_per_plane"] is None:
         yield "blur         no texture to find by how much it grows from plane to plane"
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.axes import FocusAxis, axis_roles, focus_axis
-from napari_defocus.image import MIN_SIDE, given_array
+from napari_defocus.image import MIN_SIDE, given_image
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class StackPlanes:
         array = (
             stack
             if hasattr(stack, "shape") and hasattr(stack, "dtype")
-            else given_array("stack", stack)
+            else given_image("stack", stack)
         )
         if np.dtype(array.dtype).kind not in "buif":
             raise TypeError(f"stack has dtype {array.dtype}; it takes real numbers")
@@ -89,16 +89,16 @@ class StackPlanes:
         Raises
         ------
         ValueError
-            If it has NaN or infinite values.
+            If it has infinite values.
         """
         index = list(self.focus.index)
         index[self.focus.number] = number
         while index[-1] == slice(None):
             index.pop()
-        plane = given_array("stack", self.stack[tuple(index)])
-        if plane.dtype.kind == "f" and not np.isfinite(plane).all():
+        plane = given_image("stack", self.stack[tuple(index)])
+        if plane.dtype.kind == "f" and np.isinf(plane).any():
             raise ValueError(
-                f"stack has NaN or infinite values in plane {number}; it takes finite ones"
+                f"stack has infinite values in plane {number}; it takes finite ones, NaN unknown"
             )
         return plane.transpose(self.order)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.depth import checked_depth
-from napari_defocus.image import given_array, prepare_image
+from napari_defocus.image import given_array, prepare_image, shown_colors
 from napari_defocus.psf import check_number
 
 Float32 = NDArray[np.float32]
@@ -201,7 +201,7 @@ def picture_colors(
     picture = prepare_image(image, intensity_range)
     if picture.shape != shape:
         raise ValueError(f"image has height and width {picture.shape}; it takes the map's, {shape}")
-    return np.broadcast_to(np.clip(picture.color, 0, 1), (*shape, 3))
+    return np.broadcast_to(shown_colors(picture), (*shape, 3))
 
 
 def _checked_scale(blur_map: ArrayLike) -> Float64:

@@ -13,6 +13,7 @@ from pytestqt.qtbot import QtBot
 
 import napari_defocus
 from napari_defocus import Cancelled, ShotNoise
+from napari_defocus.intensity import Intensities
 
 ONLY_WHAT_HANGS = 600_000
 """Milliseconds to wait for what has to come: a busy machine is slow, and that is no mistake."""
@@ -157,6 +158,7 @@ class StandIn:
             image_shape=image.shape[:2],
             noise_variance=self.noise_variance,
             psf=arguments["psf"],
+            intensities=Intensities(0.0, 255.0, "number type"),
         )
 
     def estimate_shot_noise(self, image, **arguments):

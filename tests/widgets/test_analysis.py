@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_defocus import Annulus, Polygon, ShotNoise, simulate_defocus
+from napari_defocus import (
+    Annulus,
+    Polygon,
+    ShotNoise,
+    confidence_map,
+    estimate_candidates,
+    label_blur_map,
+    segment_in_focus,
+    simulate_defocus,
+)
 from napari_defocus.other_process import run_elsewhere
 from napari_defocus.scene import with_scene
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
@@ -10,6 +19,7 @@ from napari_defocus.widgets import estimation
 from napari_defocus.widgets.analysis import Analysis, Comparison
 from napari_defocus.widgets.kept import KeptWork
 from napari_defocus.widgets.layers import shown_plane
+from napari_defocus.widgets.results import METADATA_KEY
 
 
 @pytest.fixture
@@ -124,12 +134,12 @@ def test_comparison_has_the_lens_of_the_form_too_and_the_right_one_first(viewer,
     assert rows[0][1].median_scale == pytest.approx(5, abs=0.2)
 
 
-def test_12_bit_data_in_uint16_are_scaled_by_their_contrast_limits(viewer, method):
+def test_what_is_measured_does_not_depend_on_contrast_limits(viewer, method):
     data = np.random.default_rng(0).integers(0, 4096, (32, 48)).astype(np.uint16)
     layer = viewer.add_image(data, contrast_limits=(0, 4095))
     analysis(viewer, layer, threshold=2.0).run(KeptWork())
     for call in (method.estimations[0], method.labelings[0], method.segmentations[0]):
-        assert call["intensity_range"] == (0.0, 4095.0)
+        assert call.get("intensity_range") is None
 
 
 def test_large_pictures_are_worked_on_in_another_process_with_the_same_result(viewer, monkeypatch):
@@ -162,3 +172,20 @@ def test_progress_rises_from_0_to_1(viewer, layer, method):
     analysis(viewer, layer, threshold=2.0).run(KeptWork(), lambda step, done: seen.append(done))
     assert seen == sorted(seen)
     assert 0.0 <= seen[0] <= seen[-1] <= 1.0
+
+
+def test_floats_of_any_range_are_measured_as_in_a_script_whatever_the_contrast_limits(
+    viewer, texture
+):
+    image = (255.5 * texture).astype(np.float32)
+    layer = viewer.add_image(image, contrast_limits=(40, 41))
+    blur_map, confidence, mask = analysis(viewer, layer, threshold=2.0).run(KeptWork())
+    candidates = estimate_candidates(image)
+    expected = label_blur_map(candidates, image)
+    np.testing.assert_array_equal(blur_map[0], expected)
+    np.testing.assert_array_equal(confidence[0], confidence_map(candidates, expected))
+    np.testing.assert_array_equal(mask[0], segment_in_focus(candidates, image))
+    for _, keywords, _ in (blur_map, confidence, mask):
+        told = keywords["metadata"][METADATA_KEY]["intensities"]
+        assert told == candidates.intensities.facts()
+        assert told["intensities_from"] == "picture"

@@ -13,6 +13,7 @@ from dask.callbacks import Callback
 from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
+from napari_defocus.intensity import Intensities
 from napari_defocus.lazy_arrays import Carried
 from napari_defocus.ome_zarr import read_ome_zarr
 from napari_defocus.settings import MapSettings, MaskSettings
@@ -138,7 +139,8 @@ def quick(method, monkeypatch):
                 writer[(*index, slice(None), slice(None))] = np.ones(shape[-2:])
             writer.finish()
             assert name in ("blur_map", "confidence", "mask")
-        return np.full(shape[:-2], 1e-5)
+        noise = np.full(shape[:-2], 1e-5)
+        return noise, [Intensities(0.0, 255.0, "number type")] * noise.size
 
     monkeypatch.setattr(large_analysis, "measure_into", measure_into)
     return measure_into
@@ -219,7 +221,7 @@ def test_results_of_a_stack_that_do_not_fit_into_memory_are_kept_on_the_disk(
 ):
     monkeypatch.setattr(stack_analysis, "MOST_IN_MEMORY", 10_000)
     sweep = np.random.default_rng(0).random((4, 32, 48)).astype(np.float32)
-    sweep[3, 3, 3] = np.nan
+    sweep[3, 3, 3] = np.inf
     layer = viewer.add_image(sweep, name="sweep", scale=(5, 1, 2))
     analysis = StackAnalysis(
         plane=shown_plane(layer, viewer.dims),
@@ -488,5 +490,5 @@ def test_large_lazy_picture_is_not_read_before_it_is_measured(viewer, monkeypatc
     counted.read.clear()
     plane = shown_plane(layer, viewer.dims)
     assert is_large(plane)
-    assert wanted(layer, viewer)._work().intensity_range is None
+    wanted(layer, viewer)._work()
     assert not counted.read

@@ -403,12 +403,12 @@ def test_no_image_is_said_in_plain_words(viewer, opened, messages):
     assert messages() == ["There is no image to analyse. Open an image first."]
 
 
-def test_nan_is_said_in_plain_words(viewer, opened, finish, method, texture, messages):
-    texture[3, 4] = np.nan
+def test_infinity_is_said_in_plain_words(viewer, opened, finish, method, texture, messages):
+    texture[3, 4] = np.inf
     viewer.add_image(texture, name="leaf")
     finish(opened(BlurMapWidget))
     [message] = messages()
-    assert message.startswith("Cannot analyse “leaf”: it has pixels without a value (NaN")
+    assert message.startswith("Cannot analyse “leaf”: it has infinite pixels")
     assert names(viewer) == ["leaf"]
 
 

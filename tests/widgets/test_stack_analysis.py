@@ -156,7 +156,7 @@ def test_cancel_ends_the_run_between_and_within_planes(viewer, stack, method):
 
 
 def test_plane_that_cannot_be_analysed_is_unknown_and_the_rest_goes_on(viewer, stack, method):
-    stack[1, 3, 4] = np.nan
+    stack[1, 3, 4] = np.inf
     stack[2] = 0.5
     found = results_of(viewer, viewer.add_image(stack))
     (blur_map, keywords, _), (confidence, _, _), (mask, _, _) = found.layers
@@ -165,16 +165,16 @@ def test_plane_that_cannot_be_analysed_is_unknown_and_the_rest_goes_on(viewer, s
     assert not mask[1].any()
     assert np.isfinite(blur_map[[0, 2, 3]]).all()
     assert "3 planes" in found.summary
-    assert "Not analysed: plane 1 (from 0): it has pixels without a value" in found.summary
+    assert "Not analysed: plane 1 (from 0): it has infinite pixels" in found.summary
     told = keywords["metadata"][METADATA_KEY]["planes"]
     assert told["noise_variances"][1] is None
-    assert "without a value" in told["not analysed"]["1"]
+    assert "infinite pixels" in told["not analysed"]["1"]
     assert "on 50%" in found.summary, "of what was analysed"
 
 
 def test_stack_of_which_no_plane_can_be_analysed_is_refused(viewer, stack, method):
-    with pytest.raises(NotAnalysableError, match="without a value"):
-        results_of(viewer, viewer.add_image(stack * np.nan))
+    with pytest.raises(NotAnalysableError, match="infinite pixels"):
+        results_of(viewer, viewer.add_image(stack * np.inf))
 
 
 def test_what_does_not_fit_into_memory_goes_to_the_disk_if_there_is_room(viewer, monkeypatch):

@@ -110,12 +110,8 @@ class Analysis:
 
     def fits(self, analysed: Analysed) -> bool:
         """Tell whether candidates are those of this plane and these settings."""
-        plane, known = self.plane, analysed.picture.plane
-        return (
-            plane == known
-            and (analysed.picture.span is None or plane.contrast_limits == known.contrast_limits)
-            and same_candidates(analysed.settings, self.estimation)
-        )
+        same = same_candidates(analysed.settings, self.estimation)
+        return self.plane == analysed.picture.plane and same
 
     def preview(
         self, analysed: Analysed, progress: Progress = silent, lane: str = ""
@@ -133,8 +129,9 @@ class Analysis:
             settings = self.estimation
             weights = weights_of(settings)
             values = analysed.on_scene(preview_of_blur_map, **weights, **common)
-            used = settings, analysed.candidates.noise_variance
-            layers.append(blur_map_layer(self.plane, values, *used, analysed.candidates.psf))
+            found = analysed.candidates
+            used = settings, found.noise_variance, found.psf, found.intensities
+            layers.append(blur_map_layer(self.plane, values, *used))
         if self.mask is not None:
             keywords = {**asdict(self.mask), "seeds": self._seeds, **common}
             mask = analysed.on_scene(mask_of_scene, preview=True, **keywords)
@@ -153,10 +150,11 @@ class Analysis:
         found = estimated_map(analysed.picture, self.estimation, kept, progress)
         used = self.estimation, found.noise_variance
         # Copies: what somebody paints on a layer is not kept.
-        layers = [blur_map_layer(self.plane, found.values.copy(), *used, found.psf)]
+        more = found.psf, found.intensities
+        layers = [blur_map_layer(self.plane, found.values.copy(), *used, *more)]
         if self.confidence:
             confidence = self.plane.counted(found.confidence)
-            layers.append(confidence_layer(self.plane, confidence, *used))
+            layers.append(confidence_layer(self.plane, confidence, *used, found.intensities))
         return layers
 
     def _mask_layers(
@@ -167,9 +165,9 @@ class Analysis:
 
     def _mask_layer(self, analysed: Analysed, mask: NDArray[np.uint8]) -> LayerDataTuple:
         assert self.mask is not None
-        used = self.mask, self.estimation, analysed.candidates.noise_variance
-        seeds = self.seeds.name if self.seeds else None
-        return in_focus_layer(self.plane, self.plane.counted(mask), *used, seeds)
+        candidates, seeds = analysed.candidates, self.seeds.name if self.seeds else None
+        used = self.mask, self.estimation, candidates.noise_variance, seeds
+        return in_focus_layer(self.plane, self.plane.counted(mask), *used, candidates.intensities)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +199,6 @@ class Comparison:
             noise_variance=settings.noise_variance,
             window=settings.window,
             linearize=settings.linearize,
-            intensity_range=picture.span,
             progress=progress,
         )
         return [(text_of[row.psf], row) for row in comparison]

@@ -114,7 +114,7 @@ class BestFocus:
         Raises
         ------
         ValueError
-            If a plane has pixels without a value.
+            If a plane has infinite pixels.
         """
         progress("Reading the planes", 0.0)
         settings = self.settings
@@ -129,7 +129,6 @@ class BestFocus:
             smoothness=settings.smoothness,
             color_sigma=settings.color_sigma,
             linearize=settings.linearize,
-            intensity_range=self.plane.sampled_range(),
         )
         return Results(self._layers(found), self._summary(found))
 
@@ -191,6 +190,7 @@ class BestFocus:
             result,
             settings,
             noise_variance=found.noise_variance,
+            intensities=found.intensities.facts(),
             px_per_plane=found.px_per_plane,
             share_of_plane=found.share_of_plane.tolist(),
         )

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from napari_defocus import MeasuredPSF
 
 _READING_SHARE = 0.1
-_HEADROOM = 1.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +116,6 @@ class Calibration:
                 pictures,
                 scales=self.scales,
                 sharp=references[0] if len(references) == 1 else references or None,
-                intensity_range=_intensity_range([*pictures, *references]),
                 names=names,
                 progress=progress,
             )
@@ -171,13 +169,3 @@ def _names(planes: Sequence[Plane]) -> list[str]:
         plane.name if len(plane.index) == 2 else f"{plane.name} {plane.index[0]}"
         for plane in planes
     ]
-
-
-def _intensity_range(pictures: list[NDArray[Any]]) -> tuple[float, float] | None:
-    """Return a range that holds all floats, with room above: what reaches 1 is saturated."""
-    floats = [picture for picture in pictures if picture.dtype.kind == "f"]
-    if not floats:
-        return None
-    low = min(float(picture.min()) for picture in floats)
-    high = max(float(picture.max()) for picture in floats)
-    return None if low >= 0 and high <= 1 else (min(low, 0.0), _HEADROOM * high)

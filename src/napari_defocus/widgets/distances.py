@@ -132,7 +132,7 @@ class Distances:
     def _surface_layer(self, depth: Float32, picture: Picture, blur_map: BlurMap) -> LayerDataTuple:
         from napari_defocus import depth_surface
 
-        surface = depth_surface(depth, picture.image, intensity_range=picture.span)
+        surface = depth_surface(depth, picture.image)
         vertices, faces, colors = above(surface, self.plane)
         keywords = {
             "name": f"{self.plane.name} depth surface",

@@ -19,6 +19,7 @@ from napari_defocus.widgets.layers import Plane
 
 if TYPE_CHECKING:
     from napari_defocus import BlurCandidates, PSFFamily, ShotNoise
+    from napari_defocus.intensity import Intensities
     from napari_defocus.scene import Ingredients
 
 Float32 = NDArray[np.float32]
@@ -42,19 +43,15 @@ class Picture:
     ----------
     plane : Plane
     image : (H, W) or (H, W, 3) or (H, W, 4) ndarray
-    span : (float, float) or None
-        The intensities that stand for 0 and 1, see `Plane.intensity_range`.
     """
 
     plane: Plane
     image: NDArray[Any]
-    span: tuple[float, float] | None
 
     @classmethod
     def of(cls, plane: Plane) -> Self:
         """Read a plane, see `Plane.read`."""
-        image = plane.read()
-        return cls(plane, image, plane.intensity_range(image))
+        return cls(plane, plane.read())
 
     @property
     def is_large(self) -> bool:
@@ -70,7 +67,14 @@ class Picture:
     @cached_property
     def key(self) -> tuple[Any, ...]:
         """What tells it from other pictures."""
-        return fingerprint(self.image), self.span
+        return (fingerprint(self.image),)
+
+    @cached_property
+    def intensities(self) -> Intensities:
+        """Which intensities are 0 and 1, as they are found."""
+        from napari_defocus.image import prepare_image
+
+        return prepare_image(self.image).intensities
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +92,8 @@ class EstimatedMap:
     noise_variance : float
         The variance that was used, found or given.
     psf : PSFFamily
+    intensities : Intensities or None
+        What the variance is measured in.
     """
 
     values: Float32
@@ -95,6 +101,7 @@ class EstimatedMap:
     confidence: Float32
     noise_variance: float
     psf: PSFFamily
+    intensities: Intensities | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +165,7 @@ class Analysed:
         try:
             return call(None)
         except UnknownSceneError:
-            return call((self.candidates, self.picture.image, self.picture.span))
+            return call((self.candidates, self.picture.image, None))
 
 
 def analysed_picture(
@@ -176,7 +183,7 @@ def analysed_picture(
 def _candidates(picture: Picture, settings: MapSettings, progress: Progress) -> BlurCandidates:
     from napari_defocus import estimate_candidates, estimate_shot_noise
 
-    common: dict[str, Any] = {"linearize": settings.linearize, "intensity_range": picture.span}
+    common: dict[str, Any] = {"linearize": settings.linearize}
     noise: float | ShotNoise | None = settings.noise_variance
     if settings.shot_noise:
         progress("Measuring the noise", 0.0)
@@ -247,14 +254,12 @@ def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress)
             confidence_of_scene, blur_map=values, progress=within(progress, 0.8, 1.0, measuring)
         )
     else:
-        span = picture.span
-        values = label_blur_map(
-            candidates, picture.image, intensity_range=span, progress=labelling, **weights
-        )
+        values = label_blur_map(candidates, picture.image, progress=labelling, **weights)
         progress(measuring, 0.8)
         sure = confidence_map(candidates, values)
         safe = cautious_blur_map(candidates, values)
-    return EstimatedMap(values, safe, sure, candidates.noise_variance, candidates.psf)
+    used = candidates.noise_variance, candidates.psf, candidates.intensities
+    return EstimatedMap(values, safe, sure, *used)
 
 
 def known_map(picture: Picture, settings: MapSettings, kept: KeptWork) -> EstimatedMap | None:
@@ -280,7 +285,4 @@ def segmented(
         from napari_defocus.segmentation import mask_of_scene
 
         return analysed.on_scene(mask_of_scene, **keywords)
-    picture = analysed.picture
-    return segment_in_focus(
-        analysed.candidates, picture.image, intensity_range=picture.span, **keywords
-    )
+    return segment_in_focus(analysed.candidates, analysed.picture.image, **keywords)

@@ -9,6 +9,7 @@ from napari.layers import Labels
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.intensity import Intensities
 from napari_defocus.lazy_arrays import Carried
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.other_process import run_elsewhere
@@ -117,8 +118,8 @@ class LargeAnalysis:
         with whole_or_gone(writers):
             for name in self._wanted():
                 writers[name] = self._new_store(name)
-            noise = run_elsewhere(measure_into, work, writers, progress=progress)
-        return self._results(writers, noise)
+            found = run_elsewhere(measure_into, work, writers, progress=progress)
+        return self._results(writers, *found)
 
     def _wanted(self) -> list[str]:
         wanted = {
@@ -135,7 +136,6 @@ class LargeAnalysis:
             image=Carried(image),
             axes=letters + "s" * (image.ndim - len(letters)),
             estimation=self.estimation,
-            intensity_range=plane.sampled_range(),
             blur_map=self.blur_map,
             confidence=self.confidence,
             mask=self.mask,
@@ -195,31 +195,40 @@ class LargeAnalysis:
         sliced = [] if self.all_planes else self.plane.sliders
         return [axis for axis in range(len(self.plane.index)) if axis not in sliced]
 
-    def _results(self, writers: dict[str, OmeZarrWriter], noise: NDArray[np.float64]) -> Results:
+    def _results(
+        self,
+        writers: dict[str, OmeZarrWriter],
+        noise: NDArray[np.float64],
+        intensities: list[Intensities],
+    ) -> Results:
         first, variance = self._at((0,) * noise.ndim), float(np.median(noise))
         layers = []
         for name, writer in writers.items():
-            layer = self._layer(name, first, variance)
+            layer = self._layer(name, first, variance, intensities[0])
             if self.all_planes:
                 layer[1]["metadata"][METADATA_KEY][PLANES] = {
                     "axes": self.plane.sliders,
                     "noise_variances": noise.ravel().tolist(),
+                    "intensities": [of_plane.facts() for of_plane in intensities],
                     "not analysed": {},
                 }
             on = None if self.all_planes else first
             layers.append(self.place.layer(layer, writer.path, self._letters(), on))
         return Results(layers, self._summary(noise, layers))
 
-    def _layer(self, name: str, plane: Plane, variance: float) -> LayerDataTuple:
+    def _layer(
+        self, name: str, plane: Plane, variance: float, intensities: Intensities
+    ) -> LayerDataTuple:
         """Return what the layer of a result looks like, without its values."""
         none = np.zeros((1, 1), _DTYPES[name])
         if name == "blur_map":
-            return blur_map_layer(plane, none, self.estimation, variance)
+            return blur_map_layer(plane, none, self.estimation, variance, intensities=intensities)
         if name == "confidence":
-            return confidence_layer(plane, none, self.estimation, variance)
+            return confidence_layer(plane, none, self.estimation, variance, intensities)
         assert self.mask is not None
         seeds = None if self.seeds is None else self.seeds.name
-        return in_focus_layer(plane, none, self.mask, self.estimation, variance, seeds)
+        used = self.mask, self.estimation, variance, seeds, intensities
+        return in_focus_layer(plane, none, *used)
 
     def _summary(self, noise: NDArray[np.float64], layers: list[LayerDataTuple]) -> str:
         lines = [f"{noise.size} planes"] * (noise.size > 1)

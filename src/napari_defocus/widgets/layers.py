@@ -41,8 +41,8 @@ class Plane:
     placement : dict
         The layer's scale, translate, rotate, shear, affine, units and axis labels, with
         `translate` moved to the plane.
-    contrast_limits, contrast_limits_range : (float, float)
-        The layer's own.
+    contrast_limits : (float, float)
+        The layer's own: how it is shown.
     inside : (H, W) bool ndarray or None
         Which pixels of a part count; None if all do.
     region : str
@@ -55,7 +55,6 @@ class Plane:
     index: tuple[int | slice, ...]
     placement: dict[str, Any]
     contrast_limits: tuple[float, float]
-    contrast_limits_range: tuple[float, float]
     inside: NDArray[np.bool_] | None = None
     region: str = ""
 
@@ -79,52 +78,24 @@ class Plane:
         """
         check_pixels(self.shape)
         # A script reads it in this order, and sums alike.
-        return np.array(self.data[self.index], order="C")
+        found = self.data[self.index]
+        if isinstance(found, np.ma.MaskedArray):
+            return np.ma.array(found, copy=True, order="C")
+        return np.array(found, order="C")
 
     def read(self) -> NDArray[Any]:
-        """Return a copy of the plane's pixels, all of which have a value, see `values`.
+        """Return a copy of the plane's pixels to be measured, see `values`.
+
+        NaN and masked pixels are not known.
 
         Raises
         ------
         NotAnalysableError
-            If the plane has NaN or infinite pixels, or is too large.
+            If the plane has infinite pixels, or is too large.
         """
         image = self.values()
         _check_values(image)
         return image
-
-    def intensity_range(self, image: NDArray[Any]) -> tuple[float, float] | None:
-        """Return the intensities that stand for 0 and 1, None if the dtype says it all.
-
-        The contrast limits speak for integers of more than 8 bit and for floats outside
-        [0, 1]: 12-bit data in uint16 fill a sixteenth of their dtype's range.
-        """
-        if image.dtype.kind in "ui" and image.dtype.itemsize > 1:
-            return self.contrast_limits
-        if image.dtype.kind == "f" and not self._within_unit_range(image):
-            return self.contrast_limits
-        return None
-
-    def sampled_range(self) -> tuple[float, float] | None:
-        """Return `intensity_range` of a plane too large to be read: of pieces of it.
-
-        Raises
-        ------
-        NotAnalysableError
-            If there are pixels without a value in them.
-        """
-        from napari_defocus.blocks import sampled
-
-        dtype = np.dtype(self.data.dtype)
-        if dtype.kind != "f":
-            return self.intensity_range(np.empty(0, dtype))
-        sample = sampled(self.data[self.index])
-        _check_values(sample)
-        return self.intensity_range(sample)
-
-    def _within_unit_range(self, image: NDArray[Any]) -> bool:
-        low, high = self.contrast_limits_range
-        return bool(min(low, image.min()) >= 0.0 and max(high, image.max()) <= 1.0)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -206,10 +177,9 @@ class Plane:
 
 
 def _check_values(image: NDArray[Any]) -> None:
-    if image.dtype.kind == "f" and not np.isfinite(image).all():
+    if image.dtype.kind == "f" and np.isinf(image).any():
         raise NotAnalysableError(
-            "it has pixels without a value (NaN or infinite). "
-            "Replace them first, for instance with the median."
+            "it has infinite pixels. Replace them by NaN, which says that they are not known."
         )
 
 
@@ -257,7 +227,6 @@ def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
         index=index,
         placement=placement(layer, index),
         contrast_limits=_pair(layer.contrast_limits),
-        contrast_limits_range=_pair(layer.contrast_limits_range),
     )
 
 

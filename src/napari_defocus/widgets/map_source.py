@@ -116,11 +116,12 @@ class EstimatedSource:
         found = estimated_map(picture, self.settings, kept, progress)
         made_with = self.settings, found.noise_variance
         # Copies: what somebody paints on a layer is not kept.
-        shown = blur_map_layer(picture.plane, found.values.copy(), *made_with, found.psf)
+        more = found.psf, found.intensities
+        shown = blur_map_layer(picture.plane, found.values.copy(), *made_with, *more)
         confidence = picture.plane.counted(found.confidence)
         # What was asked for is not the map: its colour bar would stand before the result.
         shown[1]["visible"] = False
-        sure = confidence_layer(picture.plane, confidence.copy(), *made_with)
+        sure = confidence_layer(picture.plane, confidence.copy(), *made_with, found.intensities)
         return BlurMap(
             name=shown[1]["name"],
             values=found.values,

@@ -86,7 +86,6 @@ def probed(
         blur_map=None if found is None else found.values,
         confidence=None if found is None else found.confidence,
         image=known.picture.image,
-        intensity_range=known.picture.span,
     )
     return Probed(told, image, corners_of(told.window, plane.index, candidates.image_shape))
 

@@ -233,7 +233,7 @@ def _texture(plane: Plane, confidence: Plane | None, min_confidence: float) -> N
     """Return the picture, (h, w, 3), dimmed where its blur is not trusted."""
     picture = Picture.of(plane)
     step = -(-max(plane.shape) // _LONGEST_TEXTURE)
-    color = 255 * picture_colors(picture.image, plane.shape, picture.span)[::step, ::step]
+    color = 255 * picture_colors(picture.image, plane.shape, None)[::step, ::step]
     if confidence is not None:
         color[confidence.values()[::step, ::step] < min_confidence] *= _DIMMED
     return np.rint(color).astype(np.uint8)

@@ -9,6 +9,7 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.intensity import Intensities
 from napari_defocus.progress import Progress, silent, within
 from napari_defocus.settings import CONFIDENT, Linearize, RefocusSettings, RestorationSettings
 from napari_defocus.widgets.estimation import Picture
@@ -24,6 +25,9 @@ from napari_defocus.widgets.results import (
 )
 
 Float32 = NDArray[np.float32]
+
+_LITTLE = 0.5
+"""Of the range: 12 bits in 16 would be black."""
 
 _MAP_SHARE = 0.3
 _RESTORED = 0.9
@@ -78,7 +82,7 @@ class Restoration:
         if self.protect and blur_map.safe is not None:
             values = blur_map.safe
         progress("Measuring the noise", _MAP_SHARE)
-        common: dict[str, Any] = {"linearize": self.linearize, "intensity_range": picture.span}
+        common: dict[str, Any] = {"linearize": self.linearize}
         noise_variance = self.settings.noise_variance
         if noise_variance is None:
             noise_variance = estimate_noise_variance(picture.image, **common)
@@ -181,7 +185,6 @@ class Refocusing:
             psf=made.blur_map.psf,
             all_in_focus=made.sharp,
             linearize=self.view.linearize,
-            intensity_range=made.picture.span,
             progress=within(progress, _RESTORED, 1.0),
         )
         layer = _picture_layer(self.restoration, made, seen, REFOCUSED, view=asdict(self.view))
@@ -202,15 +205,22 @@ def _picture_layer(
     keywords = {
         "name": f"{plane.name} {result}",
         "rgb": picture.ndim == 3,
-        "contrast_limits": (0.0, 1.0),
+        "contrast_limits": _limits(plane, made.picture.intensities),
         "metadata": provenance(
             plane,
             result,
             settings,
             noise_variance=made.noise_variance,
+            intensities=made.picture.intensities.facts(),
             blur_map=made.blur_map.name,
         ),
         **plane.placement,
     }
     # A copy: what somebody paints on the layer is not kept.
     return LayerDataTuple((plane.expanded(picture.copy()), keywords, "image"))
+
+
+def _limits(plane: Plane, intensities: Intensities) -> tuple[float, float]:
+    """Return how a picture in [0, 1] is shown: as its plane, if that fills little of the range."""
+    low, high = ((limit - intensities.low) / intensities.span for limit in plane.contrast_limits)
+    return (low, high) if 0 < high - low < _LITTLE else (0.0, 1.0)

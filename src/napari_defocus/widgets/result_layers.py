@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.axes import is_lazy
+from napari_defocus.intensity import Intensities
 from napari_defocus.measured_psf import MeasuredPSF
 from napari_defocus.psf import PSFFamily
 from napari_defocus.settings import MapSettings, MaskSettings
@@ -50,6 +51,7 @@ def blur_map_layer(
     settings: MapSettings,
     noise_variance: float,
     psf: PSFFamily | None = None,
+    intensities: Intensities | None = None,
 ) -> LayerDataTuple:
     """Return a blur map as an image layer that lies on the plane.
 
@@ -66,6 +68,8 @@ def blur_map_layer(
     psf : PSFFamily, optional
         The family of the settings, if it is at hand; its largest scale is the upper end of the
         colour range.
+    intensities : Intensities, optional
+        What the variance is measured in.
 
     Returns
     -------
@@ -82,6 +86,7 @@ def blur_map_layer(
             BLUR_MAP,
             asdict(settings),
             noise_variance=float(noise_variance),
+            intensities=_told(intensities),
             scale=psf.scale_name,
         ),
         **plane.placement,
@@ -94,6 +99,7 @@ def confidence_layer(
     confidence: NDArray[np.floating],
     settings: MapSettings,
     noise_variance: float,
+    intensities: Intensities | None = None,
 ) -> LayerDataTuple:
     """Return the confidence of a blur map as an image layer that lies on the plane.
 
@@ -109,6 +115,8 @@ def confidence_layer(
         What the map was estimated with.
     noise_variance : float
         The variance that was used, found or given; intensities in [0, 1].
+    intensities : Intensities, optional
+        What the variance is measured in.
 
     Returns
     -------
@@ -120,7 +128,11 @@ def confidence_layer(
         "contrast_limits": (0.0, 1.0),
         "visible": False,
         "metadata": provenance(
-            plane, CONFIDENCE, asdict(settings), noise_variance=float(noise_variance)
+            plane,
+            CONFIDENCE,
+            asdict(settings),
+            noise_variance=float(noise_variance),
+            intensities=_told(intensities),
         ),
         **plane.placement,
     }
@@ -178,6 +190,7 @@ def in_focus_layer(
     estimation: MapSettings,
     noise_variance: float,
     seeds: str | None = None,
+    intensities: Intensities | None = None,
 ) -> LayerDataTuple:
     """Return an in-focus mask as a labels layer that lies on the plane.
 
@@ -195,6 +208,8 @@ def in_focus_layer(
         The variance that was used, found or given; intensities in [0, 1].
     seeds : str, optional
         Name of the layer of its seeds.
+    intensities : Intensities, optional
+        What the variance is measured in.
 
     Returns
     -------
@@ -209,11 +224,16 @@ def in_focus_layer(
             IN_FOCUS,
             {**asdict(estimation), **asdict(settings)},
             noise_variance=float(noise_variance),
+            intensities=_told(intensities),
             seeds=seeds,
         ),
         **plane.placement,
     }
     return LayerDataTuple((plane.expanded(mask), keywords, "labels"))
+
+
+def _told(intensities: Intensities | None) -> dict[str, Any] | None:
+    return None if intensities is None else intensities.facts()
 
 
 def fixed_colors(color_of: dict[int, tuple[float, ...]]) -> DirectLabelColormap:

@@ -46,15 +46,12 @@ class _Script:
 
     Attributes
     ----------
-    common : dict of str to str
-        Keywords of every call that is given the picture.
     names : list of str
         What it takes from `napari_defocus`.
     imports, constants, steps : list of str
         Lines.
     """
 
-    common: dict[str, str]
     names: list[str] = field(default_factory=list)
     imports: list[str] = field(default_factory=list)
     constants: list[str] = field(default_factory=list)
@@ -97,7 +94,7 @@ def script_of(work: Work, picture_file: Path | None = None) -> str:
     """
     picture = Picture.of(work.plane)
     source = picture_source(picture, picture_file)
-    script = _Script({} if picture.span is None else {"intensity_range": "INTENSITY_RANGE"})
+    script = _Script()
     if isinstance(work, Analysis):
         _write_analysis(script, work)
     else:
@@ -110,9 +107,6 @@ def _composed(script: _Script, picture: Picture, source: PictureSource) -> str:
     names = {"napari_defocus": [*script.names, *source.names]}
     layer = text_literal(shortened(picture.plane.name))
     constants = [*source.constants, f'FINGERPRINT = "{picture.key[0]}"']
-    if picture.span is not None:
-        low, high = map(literal, picture.span)
-        constants.append(f"INTENSITY_RANGE = ({low}, {high})")
     lines = [
         f'"""Repeat a run of napari-defocus {__version__} without napari: the same arrays.',
         "",
@@ -152,7 +146,7 @@ def _write_analysis(script: _Script, work: Analysis) -> None:
     if work.mask is not None:
         seeds = _write_seeds(script, work.seeds)
         said = differing(work.mask, [each.name for each in fields(MaskSettings)])
-        keywords = said | seeds | script.common
+        keywords = said | seeds
         script.step("in_focus", "segment_in_focus", "candidates", "image", **keywords)
         if inside is not None:
             script.steps.append("in_focus[inside == 0] = 0")
@@ -162,10 +156,10 @@ def _write_candidates(script: _Script, settings: MapSettings) -> None:
     light = differing(settings, ["linearize"])
     said = differing(settings, ["noise_variance", "window", "stride", "mode"])
     if settings.shot_noise:
-        script.step("noise", "estimate_shot_noise", "image", **light, **script.common)
+        script.step("noise", "estimate_shot_noise", "image", **light)
         said["noise_variance"] = "noise"
     lens = _write_lens(script, settings)
-    keywords = lens | said | light | script.common
+    keywords = lens | said | light
     script.step("candidates", "estimate_candidates", "image", **keywords)
 
 
@@ -181,7 +175,7 @@ def _write_lens(script: _Script, settings: MapSettings) -> dict[str, str]:
 
 
 def _write_map(script: _Script, settings: MapSettings) -> None:
-    keywords = differing(settings, ["smoothness", "color_sigma"]) | script.common
+    keywords = differing(settings, ["smoothness", "color_sigma"])
     script.step("blur_map", "label_blur_map", "candidates", "image", **keywords)
 
 
@@ -239,18 +233,17 @@ def _write_restoration(script: _Script, work: Restoration) -> None:
         keywords["confidence"] = "confidence"
     keywords["noise_variance"] = "noise_variance"
     if work.settings.noise_variance is None:
-        given = linear | script.common
-        script.step("noise_variance", "estimate_noise_variance", "image", **given)
+        script.step("noise_variance", "estimate_noise_variance", "image", **linear)
     else:
         keywords["noise_variance"] = literal(work.settings.noise_variance)
-    keywords |= differing(work.settings, ["tv_weight"]) | linear | script.common
+    keywords |= differing(work.settings, ["tv_weight"]) | linear
     script.step("all_in_focus", "restore_all_in_focus", "image", blur, **keywords)
 
 
 def _write_view(script: _Script, view: RefocusSettings) -> None:
     said = differing(view, [each.name for each in fields(RefocusSettings)])
     keywords = {"psf": "candidates.psf", "all_in_focus": "all_in_focus"}
-    keywords = said | keywords | script.common
+    keywords = said | keywords
     script.step("refocused", "change_focus", "image", "blur_map", **keywords)
 
 

@@ -20,7 +20,7 @@ _SMOOTHNESS = (
 )
 _COLOR_STEP = (
     "How much the colours of neighbouring pixels must differ before the {what} may change "
-    "between them freely; 0 to 1, where 1 is the step from black to white. Lower ties its "
+    "between them freely; 0 to 1, where 1 is the contrast of the picture. Lower ties its "
     "boundaries to faint edges of the picture too."
 )
 

@@ -199,6 +199,8 @@ class StackAnalysis:
         for result, (keywords, kind) in found.looks.items():
             values = found.values[result]
             made = keywords["metadata"][METADATA_KEY] | of_all
+            # Each plane has its own.
+            made.pop("intensities", None)
             keywords = keywords | first.placement | {"metadata": {METADATA_KEY: made}}
             layer = LayerDataTuple((values, keywords, kind))
             if isinstance(values, OmeZarrWriter):
@@ -210,6 +212,7 @@ class StackAnalysis:
         return {
             "axes": self.plane.sliders,
             "noise_variances": [found.noise_variances.get(at) for at in self.positions()],
+            "intensities": [found.intensities.get(at) for at in self.positions()],
             "not analysed": {str(_named(at)): why for at, why in found.refused.items()},
         }
 
@@ -243,6 +246,8 @@ class _Found:
         What layers of them look like: the keywords and the type of those of one plane.
     noise_variances : dict
         Of the planes that were analysed.
+    intensities : dict
+        What the variances are measured in.
     refused : dict
         Why the others were not.
     sure : list of float
@@ -252,6 +257,7 @@ class _Found:
     values: Mapping[str, Any]
     looks: dict[str, tuple[dict[str, Any], str]] = field(default_factory=dict)
     noise_variances: dict[Position, float] = field(default_factory=dict)
+    intensities: dict[Position, dict[str, Any] | None] = field(default_factory=dict)
     refused: dict[Position, str] = field(default_factory=dict)
     sure: list[float] = field(default_factory=list)
 
@@ -264,6 +270,7 @@ class _Found:
             self.values[made["result"]][at] = data[only]
             self.looks[made["result"]] = keywords, kind
             self.noise_variances[position] = made["noise_variance"]
+            self.intensities[position] = made["intensities"]
             if made["result"] == CONFIDENCE:
                 self.sure.append(float((data >= CONFIDENT).mean()))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.intensity import Intensities
 from napari_defocus.lazy_arrays import Carried
 from napari_defocus.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.progress import Progress, duration, within
@@ -35,7 +36,6 @@ class PartByPart:
     axes : str
         A letter an axis of it: others for planes, y, x, s for colours.
     estimation : MapSettings
-    intensity_range : (float, float) or None
     blur_map, confidence : bool
     mask : MaskSettings or None
     seeds : (..., H, W) integer ndarray or None
@@ -47,7 +47,6 @@ class PartByPart:
     image: Carried
     axes: str
     estimation: MapSettings
-    intensity_range: tuple[float, float] | None
     blur_map: bool
     confidence: bool
     mask: MaskSettings | None
@@ -57,7 +56,7 @@ class PartByPart:
 
 def measure_into(
     work: PartByPart, writers: dict[str, OmeZarrWriter], *, progress: Progress
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], list[Intensities]]:
     """Measure planes part by part into stores, and finish these.
 
     Parameters
@@ -70,8 +69,10 @@ def measure_into(
 
     Returns
     -------
-    (...) float64 ndarray
-        The noise variance of each plane.
+    noise_variance : (...) float64 ndarray
+        Of each plane.
+    intensities : list of Intensities
+        Of each plane, in order.
     """
     import dask
 
@@ -84,7 +85,7 @@ def measure_into(
         found = _found(work, candidates)
         told = with_time_left(within(progress, _NOISE_SHARE, _WRITTEN_SHARE))
         store({name: found[name] for name in writers}, writers, told)
-    return np.asarray(candidates.variances)
+    return np.asarray(candidates.variances), candidates.intensities
 
 
 def _candidates(work: PartByPart, progress: Progress) -> Any:
@@ -92,10 +93,7 @@ def _candidates(work: PartByPart, progress: Progress) -> Any:
     from napari_defocus.blocks import sampled
 
     image, settings = as_dask(work.image.array, work.axes), work.estimation
-    light: dict[str, Any] = {
-        "linearize": settings.linearize,
-        "intensity_range": work.intensity_range,
-    }
+    light: dict[str, Any] = {"linearize": settings.linearize}
     noise: Any = settings.noise_variance
     if settings.shot_noise:
         progress("Measuring the noise", 0.0)
