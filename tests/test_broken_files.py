@@ -130,12 +130,18 @@ def test_stack_of_broken_ome_xml_is_the_pages_that_it_has(tmp_path, right, wrong
     np.testing.assert_array_equal(source.data.compute(), STACK)
 
 
-def test_values_that_are_not_known_are_read_as_such_and_refused_by_name(tmp_path):
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_no_numbers_are_read_as_such(tmp_path, value):
     path = tmp_path / "float.tif"
-    values = np.where(GREY > 100, np.nan, GREY / 255).astype(np.float32)
+    values = np.where(GREY > 100, value, GREY / 255).astype(np.float32)
     path.write_bytes(bytes_of_tiff(values))
     np.testing.assert_array_equal(read_picture(path), values)
-    assert_fails_in_one_line(run("map", path), saying="image has NaN")
+
+
+def test_infinite_values_are_refused_by_name(tmp_path):
+    path = tmp_path / "float.tif"
+    path.write_bytes(bytes_of_tiff(np.where(GREY > 100, np.inf, GREY / 255).astype(np.float32)))
+    assert_fails_in_one_line(run("map", path), saying="image has infinite values")
 
 
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.9])

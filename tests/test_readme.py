@@ -81,6 +81,12 @@ def save_as_bytes(picture, path):
     Image.fromarray(np.rint(230 * picture / picture.max()).astype(np.uint8)).save(path)
 
 
+def save_store(path, planes, axes):
+    writer = new_ome_zarr(path, shape=planes.shape, dtype="u1", axes=axes, attributes={})
+    writer.write_region((slice(None),) * planes.ndim, planes)
+    writer.finish()
+
+
 @pytest.fixture
 def own_files(tmp_path, small_sample, gravel, defocused):
     """The files that README.md says are the reader's own."""
@@ -95,11 +101,10 @@ def own_files(tmp_path, small_sample, gravel, defocused):
     planes = [defocused(gravel[:64, :80], abs(plane - 1.5)) for plane in range(4)]
     stack = np.clip(255 * np.stack(planes), 0, 255).astype(np.uint8)
     tifffile.imwrite(tmp_path / "worm.tif", stack, photometric="minisblack")
-    writer = new_ome_zarr(
-        tmp_path / "worm.ome.zarr", shape=stack.shape, dtype="u1", axes="zyx", attributes={}
-    )
-    writer.write_region((slice(None),) * 3, stack)
-    writer.finish()
+    for number, plane in enumerate(planes, 8):
+        save_as_bytes(plane, tmp_path / f"slices/slice{number}.png")
+    save_store(tmp_path / "worm.ome.zarr", stack, "zyx")
+    save_store(tmp_path / "embryo.ome.zarr", np.tile(stack, (21, 2, 1, 1, 1)), "tczyx")
     (tmp_path / "shared").mkdir()
 
 

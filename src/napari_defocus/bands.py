@@ -10,8 +10,10 @@ in this process or read from numba's cache.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -19,6 +21,19 @@ import numba
 
 _BANDS_A_THREAD = 4
 """So that a thread whose rows are quick can take more of them."""
+
+
+_alone = threading.local()
+
+
+@contextmanager
+def in_one_thread() -> Iterator[None]:
+    """Let all kernels that this thread calls run in it, whatever their length."""
+    _alone.asked = True
+    try:
+        yield
+    finally:
+        _alone.asked = False
 
 
 def thread_count() -> int:
@@ -43,7 +58,7 @@ def in_bands(kernel: Callable[..., None], length: int, *arguments: Any, least: i
     """
     threads = thread_count()
     steps = -(-length // least)
-    if threads == 1 or steps <= 1:
+    if threads == 1 or steps <= 1 or getattr(_alone, "asked", False):
         kernel(0, length, *arguments)
         return
     side = -(-steps // (_BANDS_A_THREAD * threads)) * least

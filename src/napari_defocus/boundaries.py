@@ -111,7 +111,7 @@ def _nearest(centers: Float64, length: int) -> NDArray[np.int64]:
     return np.searchsorted(middles, np.arange(length), side="right")
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _block_weights(
     color: Float32, row_block: NDArray[np.int64], column_block: NDArray[np.int64], sharpness: float
 ) -> Float32:
@@ -253,7 +253,7 @@ def _weigh_rows(
                     weights[k, i, j] = _color_weight(color, i, j, y, j + right, sharpness)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _interpolated_change(
     cost: Float32,
     now: Labels,

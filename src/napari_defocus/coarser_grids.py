@@ -68,7 +68,7 @@ def _relax_rows(start: int, stop: int, price: Float32, cost: Float32) -> None:
                 cost[i, j, label] = min(cost[i, j, label], cost[i, j, label + 1] + price[i, j])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _joined_weights(
     weights: Float32, row_block: NDArray[np.int64], column_block: NDArray[np.int64]
 ) -> Float32:
@@ -88,7 +88,7 @@ def _joined_weights(
     return joined
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def join_blocks(joined: Float32, i: int, j: int, i_to: int, j_to: int, weight: float) -> None:
     """Add the weight of one pair of members to the pair of blocks that they belong to."""
     down, right = i_to - i, j_to - j

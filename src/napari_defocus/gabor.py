@@ -234,7 +234,9 @@ def _filter_some(
     for window in range(start, stop):
         for left in range(0, samples.shape[1], _TILE):
             width = min(_TILE, samples.shape[1] - left)
-            sums[:] = 0
+            for k in range(count):
+                for x in range(_TILE):
+                    sums[k, x] = 0
             for pair in range(0, half, 2):
                 for member in range(2):
                     # The last pair may be the centre, twice, with half its weight; or have none.
@@ -253,7 +255,9 @@ def _filter_some(
                     weight, next_weight = folded[pair, k], folded[pair + 1, k]
                     for x in range(_TILE):
                         sums[k, x] += weight * odd[0, x] + next_weight * odd[1, x]
-            result[window, :, left : left + width] = sums[:, :width]
+            for k in range(count):
+                for x in range(width):
+                    result[window, k, left + x] = sums[k, x]
 
 
 def _power_of_sums(sums: Float32, power: Float32) -> None:

@@ -221,7 +221,7 @@ def _expand_near(
     return labels
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _near(labels: Labels, alpha: int, reach: int, grow: int) -> Places:
     """Return the nodes of other labels around those whose label is near alpha."""
     rows, columns = labels.shape
@@ -283,7 +283,7 @@ def _fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float
     return fuse(labels, proposal, place, _change(labels, proposal, place, data), weights)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _change(labels: Labels, proposal: Labels, place: Places, data: Float32) -> Float64:
     """Return D of the proposed label minus D of the present one, at some nodes."""
     columns = labels.shape[1]
@@ -319,7 +319,7 @@ class Edges:
         return cls(first.astype(np.int32), (first + step[k]).astype(np.int32), weights[k, i, j])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
     """Evaluate (14) for labels (R, C), costs (R, C, L) and weights (4, R, C)."""
     rows, columns = labels.shape
@@ -334,7 +334,7 @@ def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
     return energy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _threshold_graph(
     data: Float32, first: Labels, second: Labels, weight: Float32
 ) -> tuple[Float64, Labels, Labels, Float64, Float64]:
@@ -409,7 +409,7 @@ def fuse(
     return fused
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _fusion_graph(
     labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> tuple[Float64, Labels, Labels, Float32]:
@@ -455,13 +455,13 @@ def _fusion_graph(
     return cost, tail[:edges], head[:edges], capacity[:edges]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def _outside(low: int, high: int, least: int, most: int) -> int:
     """Count the thresholds from low to high that are above most, less those below least."""
     return max(high, most) - max(low, most) - min(high, least) + min(low, least)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _flow(cost: Float64, tail: Labels, head: Labels, capacity: Float32) -> tuple[Float64, Float64]:
     """Send most of the flow by passing messages; return what is left of each edge, there and back.
 

@@ -241,7 +241,9 @@ def _temper(
             curves[row, scale] = total
             best = max(best, total)
         weight = np.float32(0)
-        misfit[:] = 0
+        for direction in range(directions):
+            for i in range(frequencies):
+                misfit[direction, i] = 0
         for scale in range(count):
             below = best - curves[row, scale]
             if below > _NEARLY_BEST:

@@ -80,7 +80,8 @@ def _pick_some(
     length = curve.shape[1]
     height = np.empty(CANDIDATES, np.float32)
     for point in range(start, stop):
-        height[:] = -np.inf
+        for place in range(CANDIDATES):
+            height[place] = -np.inf
         c = curve[point]
         for k in range(first, length):
             rises = k == first or c[k] > c[k - 1]

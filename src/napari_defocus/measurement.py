@@ -115,7 +115,10 @@ def measure_candidates(
     progress: Progress,
 ) -> BlurCandidates:
     """Estimate the candidates, and shot noise if that is asked for."""
+    from napari_defocus.compilation import compile_kernels
+
     psf = settings.family()
+    compile_kernels(progress)
     noise: float | ShotNoise | None = settings.noise_variance
     if settings.shot_noise:
         progress("Measuring the noise", 0.0)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import dctn
 from scipy.ndimage import correlate1d, uniform_filter
-from scipy.optimize import nnls
 
 from napari_defocus.image import PreparedImage, prepare_image
 from napari_defocus.settings import Linearize, MapSettings, check_real
@@ -371,9 +370,25 @@ def shot_noise_of(picture: PreparedImage) -> ShotNoise:
     floor = np.maximum(floor / _FLOOR_OF_WHITE, _LEAST_SHARE * variance)
     mean = np.array([np.maximum(intensity[places], 0).mean() for places in bins])
     # Relative errors count: a textured bin is too high by a factor.
-    design = np.stack([np.ones_like(mean), mean], axis=1) / floor[:, None]
-    (read, gain), _ = nnls(design, np.ones_like(mean))
+    read, gain = _line(mean / floor, 1 / floor)
     if compression:
         scale = variance / (read + gain * np.maximum(picture.luminance, 0).mean())
         read, gain = scale * read, scale * gain
     return ShotNoise(float(read), float(gain))
+
+
+def _line(slope: Float64, constant: Float64) -> tuple[float, float]:
+    """Return a and b, none negative, of the least sum of (a constant + b slope - 1)^2.
+
+    The places are few, and the sums in their order: `scipy.optimize.nnls` calls BLAS.
+    """
+    cc, cs, ss = (float(np.sum(one)) for one in (constant**2, constant * slope, slope**2))
+    c, s = float(np.sum(constant)), float(np.sum(slope))
+    determinant = cc * ss - cs * cs
+    if determinant > 0:
+        a, b = (c * ss - s * cs) / determinant, (s * cc - c * cs) / determinant
+        if a >= 0 and b >= 0:
+            return a, b
+    # The least is where one of them is 0: the one that explains more stays.
+    alone = c / cc, max(s, 0.0) / ss if ss > 0 else 0.0
+    return (alone[0], 0.0) if c * alone[0] >= s * alone[1] else (0.0, alone[1])

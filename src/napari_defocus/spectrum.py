@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -212,7 +212,8 @@ class FilterPower:
         `largest` is the side of the largest kernel, in px.
         """
         size = next_fast_len(window + largest)
-        powers, of_filter = [], []
+        powers: list[Float64] = []
+        of_filter: list[NDArray[np.intp]] = []
         for fraction, cycles, offsets in zip(
             (row_fraction, column_fraction),
             frequencies(window).T,
@@ -223,7 +224,7 @@ class FilterPower:
             filters = [axis_filters(window, abs(fraction - offset)) for offset in offsets]
             powers.append(np.stack([_axis_power(one, distinct, size) for one in filters]))
             of_filter.append(number)
-        return cls(*powers, *of_filter)
+        return cls(powers[0], powers[1], of_filter[0], of_filter[1])
 
     def noise_spectra(self) -> Float64:
         """Evaluate (7), sum |grad * t_i|^2, for both gradients: (2, F)."""
@@ -234,7 +235,7 @@ class FilterPower:
         columns = np.einsum("dcj,dj->dc", self.columns, along[::-1])
         return rows[:, self.row_of_filter] * columns[:, self.column_of_filter] / size**2
 
-    def blur_spectra(self, kernels: list[Float64]) -> Float64:
+    def blur_spectra(self, kernels: Sequence[Float64]) -> Float64:
         """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (n, 2, F)."""
         size = self.rows.shape[2]
         spectra = np.empty((len(kernels), 2, self.rows.shape[1], self.columns.shape[1]))

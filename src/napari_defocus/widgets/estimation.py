@@ -182,7 +182,9 @@ def analysed_picture(
 
 def _candidates(picture: Picture, settings: MapSettings, progress: Progress) -> BlurCandidates:
     from napari_defocus import estimate_candidates, estimate_shot_noise
+    from napari_defocus.compilation import compile_kernels
 
+    picture.call(compile_kernels, progress=progress)
     common: dict[str, Any] = {"linearize": settings.linearize}
     noise: float | ShotNoise | None = settings.noise_variance
     if settings.shot_noise:

@@ -1,0 +1,106 @@
+"""The kernels of a map are compiled before the first one, and it is told; once a machine.
+
+numba compiles a kernel when it is first called, and keeps it on the disk. On a new machine that is
+most of the time of the first map. So a tiny picture is measured first, and each kernel that is
+compiled meanwhile, instead of being read from the disk, is reported.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numba.core import event
+from numba.core.dispatcher import Dispatcher
+from scipy.ndimage import uniform_filter
+
+from napari_defocus import (
+    boundaries,
+    coarser_grids,
+    evidence,
+    gabor,
+    graphcut,
+    likelihood,
+    maxima,
+    refinement,
+)
+from napari_defocus.bands import in_one_thread
+from napari_defocus.candidates import estimate_candidates
+from napari_defocus.confidence import confidence_map
+from napari_defocus.labeling import label_blur_map
+from napari_defocus.progress import COMPILING, Progress
+from napari_defocus.segmentation import segment_in_focus
+
+_MODULES = (
+    gabor, likelihood, maxima, evidence, coarser_grids, graphcut, boundaries, refinement
+)  # fmt: skip
+_SIDE = 56
+"""px, as many windows as pixels: enough for a coarser grid of labels."""
+
+_turn = threading.Lock()
+_compiled = False
+
+
+def compile_kernels(progress: Progress) -> None:
+    """Compile all kernels of maps, masks and confidences, or read them from numba's cache.
+
+    Nothing is done, and nothing reported, after the first call in a process.
+
+    Parameters
+    ----------
+    progress : callable
+        Called in this thread before each kernel that is compiled, as
+        ``progress("Compiling the program, once (3 of 20)", 0.0)``. An exception from it ends the
+        compilation; what was compiled is kept.
+    """
+    global _compiled
+    with _turn:
+        if not _compiled:
+            with in_one_thread(), _reports(progress):
+                _measure_something()
+            _compiled = True
+
+
+def _measure_something() -> None:
+    """Measure a picture that is sharp on one side of an edge: all kernels have something to do."""
+    sharp = np.random.default_rng(0).random((_SIDE, _SIDE, 3), np.float32)
+    blurred = 3 * uniform_filter(sharp, (9, 9, 0)) - 1
+    picture = np.where(np.arange(_SIDE)[:, None] < _SIDE // 2, sharp, blurred)
+    candidates = estimate_candidates(picture, noise_variance=1e-5, stride=1)
+    confidence_map(candidates, label_blur_map(candidates, picture))
+    segment_in_focus(candidates, picture)
+
+
+@contextmanager
+def _reports(progress: Progress) -> Iterator[None]:
+    kernels = {
+        value.py_func
+        for module in _MODULES
+        for value in vars(module).values()
+        if isinstance(value, Dispatcher)
+    }
+    listener = _Compilations(kernels, progress)
+    with event.install_listener("numba:compile", listener):
+        yield
+
+
+class _Compilations(event.Listener):  # type: ignore[misc]
+    """Reports which of some kernels is being compiled in the thread that listens."""
+
+    def __init__(self, kernels: set[Any], progress: Progress) -> None:
+        self._left, self._total = kernels, len(kernels)
+        self._progress = progress
+        self._thread = threading.get_ident()
+
+    def on_start(self, event: Any) -> None:
+        kernel = event.data["dispatcher"].py_func
+        if kernel in self._left and threading.get_ident() == self._thread:
+            self._left.discard(kernel)
+            number = self._total - len(self._left)
+            self._progress(f"{COMPILING} the program, once ({number} of {self._total})", 0.0)
+
+    def on_end(self, event: Any) -> None:
+        pass
