@@ -45,6 +45,7 @@ _LEAST_EVIDENCE = 1e-12
 """Of every window, as a share of the largest weight of the differences."""
 
 _ROUNDS = 3
+_STEPS_A_ROUND = 3
 _LEAST_PLACES = 512
 """The fewest places that are worth a thread."""
 
@@ -193,22 +194,51 @@ def _solve(
     """Minimise by reweighted least squares, from the labels' scales: (P,).
 
     `form` is the upper triangle of the matrix of what smoothness costs. QDLDL (Stellato et al.,
-    Math. Prog. Comp. 12, 2020) factorises it without any library of linear algebra, whose bits
-    depend on the processor.
+    Math. Prog. Comp. 12, 2020) factorises the first system, without any library of linear algebra,
+    whose bits depend on the processor. Its factors precondition the next systems, which differ
+    little.
     """
-    solver, diagonal = None, form.indptr[1:] - 1
+    precondition = None
     # Where smoothness is all, the evidence would be lost beside it in rounding.
     least = _LEAST_EVIDENCE * form.data.max(initial=0.0)
     for _ in range(_ROUNDS):
         mean, variance = _around(curve, scales, scale)
         evidence = independent / (variance + (scale - mean) ** 2) + least
-        system = form.copy()
-        system.data[diagonal] += evidence
-        if solver is None:
-            solver = qdldl.Solver(system, upper=True)
+        if precondition is None:
+            precondition = qdldl.Solver(form + sparse.diags(evidence, format="csc"), upper=True)
+            scale = precondition.solve(evidence * mean)
         else:
-            solver.update(system, upper=True)
-        scale = solver.solve(evidence * mean)
+            scale = _conjugate_gradients(form, evidence, mean, scale, precondition)
+    return scale
+
+
+def _conjugate_gradients(
+    form: sparse.csc_matrix,
+    evidence: Float64,
+    mean: Float64,
+    scale: Float64,
+    precondition: qdldl.Solver,
+) -> Float64:
+    """Take some steps from a scale towards that where (form + evidence) scale = evidence mean."""
+    transposed, diagonal = form.T, evidence - form.diagonal()
+
+    def system(values: Float64) -> Float64:
+        return form @ values + transposed @ values + diagonal * values
+
+    rest = evidence * mean - system(scale)
+    direction = np.zeros_like(scale)
+    before = np.inf
+    for _ in range(_STEPS_A_ROUND):
+        better = precondition.solve(rest)
+        after = np.sum(rest * better)
+        if after <= 0:
+            break
+        direction = better + after / before * direction
+        image = system(direction)
+        length = after / np.sum(direction * image)
+        scale = scale + length * direction
+        rest = rest - length * image
+        before = after
     return scale
 
 
