@@ -76,6 +76,17 @@ event.register("numba:compile", Late())
 """
 """Ends in an error if not all that is compiled is reported, and prints what is compiled later."""
 
+SIGNATURES = """
+import sys
+from numba.core.dispatcher import Dispatcher
+for name, module in sorted(sys.modules.items()):
+    if name.startswith("napari_defocus."):
+        for kernel in vars(module).values():
+            inlined = isinstance(kernel, Dispatcher) and kernel.targetoptions.get("forceinline")
+            if isinstance(kernel, Dispatcher) and len(kernel.signatures) > 1 and not inlined:
+                print(name, kernel.py_func.__name__, kernel.signatures)
+"""
+
 NEEDS = {"Nehalem": "SSE42", "Haswell": "AVX2", "SkylakeX": "AVX512F"}
 """The kernels of OpenBLAS that are tried, and what a processor must have for them."""
 
@@ -122,6 +133,16 @@ def test_kernels_compiled_before_the_first_map_are_all_and_give_what_cached_ones
     compiled = results_with("2", script=script, NUMBA_CACHE_DIR=str(tmp_path))
     assert compiled.startswith("candidates")
     assert usual_results.startswith(compiled)
+
+
+def test_each_kernel_has_one_signature():
+    # So two processes that compile at once put the same files into numba's cache.
+    blurred = "simulate_defocus(np.eye(64), np.full((64, 64), 5.0), noise_variance=1e-3, rng=0)"
+    restored = (
+        f"restore_all_in_focus({blurred}, np.full((64, 64), 7.9), confidence=np.ones((64, 64)))"
+    )
+    script = SCENE + RESULTS + restored + SIGNATURES
+    assert results_with("2", script=script).count("(") == 0
 
 
 def test_no_kernel_lets_the_compiler_reorder_sums():

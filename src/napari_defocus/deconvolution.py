@@ -88,8 +88,9 @@ class Deconvolution:
         unit = self._unit = np.float32(picture.intensities.unit)
         self._color, self._opaque = picture.color / unit, picture.opaque
         self._psf, self._sure, self._pool = psf, sure, pool
-        self._noise_variance = max(noise_variance / float(unit) ** 2, _SILENCE)
-        self._tv_weight = tv_weight / float(unit)
+        # Not NumPy's numbers: they would turn pictures into double precision.
+        self._noise_variance = float(max(noise_variance / float(unit) ** 2, _SILENCE))
+        self._tv_weight = float(tv_weight / float(unit))
         limit = np.array([_CLIPPED], np.float32)
         clipped = picture.color >= (decode_srgb(limit) if linearize == "srgb" else limit)
         self._clipped = clipped if clipped.any() else None
