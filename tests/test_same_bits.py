@@ -137,10 +137,9 @@ def test_kernels_compiled_before_the_first_map_are_all_and_give_what_cached_ones
 
 def test_each_kernel_has_one_signature():
     # So two processes that compile at once put the same files into numba's cache.
-    blurred = "simulate_defocus(np.eye(64), np.full((64, 64), 5.0), noise_variance=1e-3, rng=0)"
-    restored = (
-        f"restore_all_in_focus({blurred}, np.full((64, 64), 7.9), confidence=np.ones((64, 64)))"
-    )
+    # Too large a radius is reduced on the way.
+    known = "confidence=np.ones(radius.shape), noise_variance=np.float64(1e-5)"
+    restored = f"restore_all_in_focus(seen, 0 * radius + 7.5, {known})"
     script = SCENE + RESULTS + restored + SIGNATURES
     assert results_with("2", script=script).count("(") == 0
 
