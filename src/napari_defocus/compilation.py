@@ -87,7 +87,7 @@ def _reports(progress: Progress) -> Iterator[None]:
         yield
 
 
-class _Compilations(event.Listener):  # type: ignore[misc]
+class _Compilations(event.Listener):
     """Reports which of some kernels is being compiled in the thread that listens."""
 
     def __init__(self, kernels: set[Any], progress: Progress) -> None:
