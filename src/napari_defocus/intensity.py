@@ -25,6 +25,9 @@ _WHOLE_RANGES = (255.0, 65535.0)
 _EXTREME, _MARGIN = 1e-3, 1.25
 """Of the span between these quantiles, so much at most is contrast: a few hot pixels are none."""
 
+_MANY = 2**20
+"""Values from which on not all of them are sorted, for quantiles and levels."""
+
 _LEAST_CONTRAST, _LEAST_OF_RANGE = 1e-6, 1e-15
 """Of the largest intensity: what single precision rounds is no contrast. And of the range, whose
 square is still a number in single precision.
@@ -221,7 +224,8 @@ def range_of_values(limits: Limits, dtype: np.dtype[Any]) -> Intensities:
 
 def _contrast(values: NDArray[Any], of: Intensities) -> float:
     """Return how far known values reach, in units of a range; 1 if they are all the same."""
-    dark, bright = np.quantile(values, (_EXTREME, 1 - _EXTREME))
+    some = values[:: max(1, values.size // _MANY)]
+    dark, bright = np.quantile(some, (_EXTREME, 1 - _EXTREME))
     least, largest = float(values.min()), float(values.max())
     reach = min(largest - least, _MARGIN * float(bright - dark)) or largest - least
     if not reach > 0:
@@ -235,7 +239,7 @@ def _level(values: NDArray[Any]) -> float | None:
     some = values[:: max(1, values.size // _FEW)]
     if len(np.unique(some)) > _MOST_LEVELS:
         return None
-    levels = np.unique(values).astype(np.float64)
+    levels = np.unique(values[:: max(1, values.size // _MANY)]).astype(np.float64)
     if not _FEWEST_LEVELS <= len(levels) <= _MOST_LEVELS:
         return None
     steps = np.diff(levels)
