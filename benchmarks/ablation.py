@@ -25,13 +25,13 @@ from napari_defocus import (
     segment_in_focus,
     simulate_defocus,
 )
-from napari_defocus.gabor import local_power
-from napari_defocus.graphcut import expand_until_settled
-from napari_defocus.image import decode_srgb, encode_srgb
-from napari_defocus.labeling import CURVE_WEIGHT
-from napari_defocus.likelihood import profile_log_likelihood
-from napari_defocus.scene import artificial_likelihood
-from napari_defocus.spectrum import LABEL_STEP, spectrum_table
+from napari_defocus.core.image import decode_srgb, encode_srgb
+from napari_defocus.labeling.blur_map import CURVE_WEIGHT
+from napari_defocus.labeling.graph_cuts import expand_until_settled
+from napari_defocus.labeling.problem import artificial_likelihood
+from napari_defocus.likelihood.blur_spectra import LABEL_STEP, spectrum_table
+from napari_defocus.likelihood.gabor import local_power
+from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
 
 DEFAULT = "everything (the default)"
 PAPERS_NOISE = 1e-4

@@ -46,7 +46,7 @@ def make_inputs(folder, large):
 
 def started(inputs, output):
     wanted = ("--confidence", "--mask", "--workers", "2")
-    command = [sys.executable, "-c", "from napari_defocus.cli import main; main()"]
+    command = [sys.executable, "-c", "from napari_defocus.cli.app import main; main()"]
     return subprocess.Popen(
         [*command, "batch", str(inputs), "-o", str(output), *wanted],
         stdout=subprocess.DEVNULL,

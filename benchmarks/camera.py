@@ -24,7 +24,7 @@ from skimage.restoration import denoise_nl_means
 from skimage.util import img_as_float
 
 from napari_defocus import Disc, estimate_blur_map, simulate_defocus
-from napari_defocus.image import decode_srgb, encode_srgb
+from napari_defocus.core.image import decode_srgb, encode_srgb
 
 SIDE = 232
 GAIN, READ_VARIANCE = 2e-4, 1e-6

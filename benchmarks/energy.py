@@ -25,18 +25,18 @@ from pictures import middle
 from record import OURS, PAPER, Number, Record
 
 from napari_defocus import BlurCandidates, estimate_candidates
-from napari_defocus.boundaries import Blocks, label_pixels, pixel_weights
-from napari_defocus.graphcut import (
+from napari_defocus.core.image import PreparedImage
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.labeling.blur_map import CURVE_WEIGHT, JUMP, REACH
+from napari_defocus.labeling.graph_cuts import (
     energy_of,
     expand_until_settled,
     improve,
     minimize_energy,
     solve_exactly,
 )
-from napari_defocus.image import PreparedImage
-from napari_defocus.labeling import CURVE_WEIGHT, JUMP, REACH
-from napari_defocus.scene import Scene
-from napari_defocus.settings import MapSettings
+from napari_defocus.labeling.pixel_refinement import Blocks, label_pixels, pixel_weights
+from napari_defocus.labeling.problem import Scene
 
 SMOOTHNESS, COLOR_SIGMA = MapSettings.smoothness, MapSettings.color_sigma
 

@@ -17,7 +17,7 @@ from fuzz_calls import Call
 from PIL import Image
 from typer.testing import CliRunner
 
-from napari_defocus.cli import app
+from napari_defocus.cli.app import app
 
 COMMANDS = ("map", "segment", "restore", "refocus", "depth", "explain", "sharpest")
 MORE_COMMANDS = ("calibrate", "compare-psf", "batch", "", "none")

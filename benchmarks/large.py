@@ -25,9 +25,9 @@ import psutil
 from pictures import SIDE, sharp_pictures
 
 from napari_defocus import estimate_blur_map, simulate_defocus
-from napari_defocus.ome_zarr import read_ome_zarr
-from napari_defocus.ome_zarr_writer import new_ome_zarr
-from napari_defocus.sources import open_source
+from napari_defocus.io.ome_zarr import read_ome_zarr
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.open import open_source
 
 NOISE = 1e-6
 REGION, HALO = 1024, 24

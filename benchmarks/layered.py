@@ -18,7 +18,7 @@ import skimage.data
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
 from napari_defocus import estimate_candidates, label_blur_map, segment_in_focus
-from napari_defocus.layered import simulate_layered_defocus
+from napari_defocus.forward.occlusion import simulate_layered_defocus
 
 LARGEST = 6.0
 THRESHOLD = 2.0

@@ -20,9 +20,9 @@ import numpy as np
 from pictures import SIDE, sharp_pictures
 
 from napari_defocus import Disc, estimate_blur_map, simulate_defocus
-from napari_defocus.calibration import calibrate_psf
-from napari_defocus.measured_psf import MeasuredPSF
-from napari_defocus.psf import Annulus, Gaussian, Polygon, PSFFamily
+from napari_defocus.psf.calibration import calibrate_psf
+from napari_defocus.psf.families import Annulus, Gaussian, Polygon, PSFFamily
+from napari_defocus.psf.measured import MeasuredPSF
 
 SETTINGS = range(9)
 LAMP_NOISE = 0.02

@@ -18,7 +18,7 @@ from qtpy.QtWidgets import QApplication
 from skimage.data import retina
 from skimage.transform import resize
 
-from napari_defocus.widgets.defocus import DefocusWidget
+from napari_defocus.widgets.docks.defocus import DefocusWidget
 
 SIDE = 1024
 THRESHOLDS = (1.5, 2.5, 3.0, 1.0, 2.2)

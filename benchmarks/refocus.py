@@ -35,7 +35,7 @@ from napari_defocus import (
     restore_all_in_focus,
     simulate_layered_defocus,
 )
-from napari_defocus.image import decode_srgb, encode_srgb
+from napari_defocus.core.image import decode_srgb, encode_srgb
 
 LARGEST = 4.0
 DISC = Disc(2 * LARGEST)

@@ -37,11 +37,11 @@ from napari_defocus import (
     confidence_map,
     estimate_candidates,
     label_blur_map,
-    restoration,
     restore_all_in_focus,
     simulate_defocus,
 )
-from napari_defocus.blur_operator import BlurOperator
+from napari_defocus.forward.blur_operator import BlurOperator
+from napari_defocus.restoration import all_in_focus as restoration
 
 INNER = np.s_[20:-20, 20:-20]
 NOISE = (1e-6, 1e-5)

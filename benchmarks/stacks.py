@@ -34,7 +34,7 @@ from scipy.optimize import minimize
 
 from napari_defocus import Disc, SharpestPlane, sharpest_plane, simulate_defocus
 from napari_defocus import focus_labels as labels
-from napari_defocus.image import LUMA_WEIGHTS
+from napari_defocus.core.image import LUMA_WEIGHTS
 
 PLANES = {0.5: 25, 1.0: 21, 2.0: 15}
 LARGEST = 16.0

@@ -10,15 +10,15 @@ from napari_defocus import (
     label_blur_map,
     segment_in_focus,
 )
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.result_layers import (
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
     confidence_layer,
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.showing import show_results
 
 
 def main():

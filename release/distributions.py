@@ -20,7 +20,7 @@ NEEDED_FILES = (
     "widgets/__init__.py",
 )
 ENTRY_POINTS = (
-    "napari-defocus = napari_defocus.cli:main",
+    "napari-defocus = napari_defocus.cli.app:main",
     "napari-defocus = napari_defocus:napari.yaml",
 )
 NEEDED_IN_SDIST = (

@@ -5,7 +5,7 @@ import os
 
 from typer.testing import CliRunner
 
-from napari_defocus.cli import app
+from napari_defocus.cli.app import app
 
 
 def run(*arguments):

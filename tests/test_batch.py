@@ -16,13 +16,17 @@ import tifffile
 from command_line import names_in
 
 import napari_defocus
-from napari_defocus import Settings, batch, batch_parts, batch_planes, batch_sources, measure_batch
-from napari_defocus.files import UnreadablePicture, UnwritableResult
-from napari_defocus.ome_zarr import read_ome_zarr
-from napari_defocus.results import holds, settings_in_tiff, values_in_tiff
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.sources import open_source
-from napari_defocus.tiff_stacks import made_by
+from napari_defocus import Settings, measure_batch
+from napari_defocus.batch import batch
+from napari_defocus.batch import planes as batch_planes
+from napari_defocus.batch import sources as batch_sources
+from napari_defocus.batch import tiled_planes as batch_parts
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.io.encoders import holds, settings_in_tiff, values_in_tiff
+from napari_defocus.io.ome_zarr import read_ome_zarr
+from napari_defocus.io.open import open_source
+from napari_defocus.io.pictures import UnreadablePicture, UnwritableResult
+from napari_defocus.io.tiff_writer import made_by
 
 QUICK = Settings(map=MapSettings(stride=8))
 
@@ -330,7 +334,7 @@ def test_large_plane_is_measured_in_parts_and_goes_on(tmp_path, grass, monkeypat
 def start(inputs, output, workers):
     # Where tests run in the background, SIGINT is ignored, also by what they start.
     heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code = heeding + "from napari_defocus.cli import main; main()"
+    code = heeding + "from napari_defocus.cli.app import main; main()"
     command = [sys.executable, "-c", code, "batch"]
     command += [str(inputs), "-o", str(output), "--workers", str(workers)]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)

@@ -11,7 +11,6 @@ from skimage.data import camera
 
 from napari_defocus import (
     ShotNoise,
-    blocks,
     cautious_blur_map,
     confidence_map,
     estimate_blur_map,
@@ -23,13 +22,14 @@ from napari_defocus import (
     segment_in_focus,
     simulate_defocus,
 )
-from napari_defocus.block_graph import after
-from napari_defocus.block_tasks import Wanted
-from napari_defocus.blocks import store
-from napari_defocus.lazy_arrays import Carried
-from napari_defocus.ome_zarr import read_ome_zarr
-from napari_defocus.ome_zarr_writer import new_ome_zarr
-from napari_defocus.progress import Cancelled
+from napari_defocus.core.progress import Cancelled
+from napari_defocus.io.lazy_arrays import Carried
+from napari_defocus.io.ome_zarr import read_ome_zarr
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.tiled import candidates as blocks
+from napari_defocus.tiled.candidates import store
+from napari_defocus.tiled.tile_graph import after
+from napari_defocus.tiled.tile_tasks import Wanted
 
 NOISE = 1e-6
 HEIGHT, WIDTH = 310, 420

@@ -3,7 +3,7 @@ import pytest
 from scipy.ndimage import convolve
 
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon
-from napari_defocus.blur_operator import BlurOperator, half_variance_slope
+from napari_defocus.forward.blur_operator import BlurOperator, half_variance_slope
 
 FAMILIES = [
     Disc(),

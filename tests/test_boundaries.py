@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from napari_defocus.boundaries import Blocks, interpolate_labels, label_pixels
-from napari_defocus.coarser_grids import STEPS
-from napari_defocus.gabor import window_centers
+from napari_defocus.labeling.multigrid import STEPS
+from napari_defocus.labeling.pixel_refinement import Blocks, interpolate_labels, label_pixels
+from napari_defocus.likelihood.gabor import window_centers
 
 
 def blocks_of(shape, stride=4):

@@ -14,10 +14,10 @@ from command_line import assert_fails_in_one_line, run
 from PIL import Image
 
 from napari_defocus import MeasuredPSF
-from napari_defocus.files import read_picture
-from napari_defocus.ome_zarr_writer import new_ome_zarr
-from napari_defocus.settings_file import Settings
-from napari_defocus.sources import open_source
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.open import open_source
+from napari_defocus.io.pictures import read_picture
+from napari_defocus.io.settings_file import Settings
 
 GREY = np.random.default_rng(0).integers(0, 256, (40, 48), np.uint8)
 STACK = np.stack([GREY, GREY[::-1], GREY // 2])
@@ -274,7 +274,7 @@ def test_lens_that_holds_objects_is_refused_and_none_is_made(lens, key):
 
 
 def test_lens_that_unpacks_to_gigabytes_is_refused_unread(lens, monkeypatch):
-    monkeypatch.setattr("napari_defocus.measured_psf._LARGEST_FILE", 1_000_000)
+    monkeypatch.setattr("napari_defocus.psf.measured._LARGEST_FILE", 1_000_000)
     MeasuredPSF.load(lens)
     with zipfile.ZipFile(lens, "a", zipfile.ZIP_DEFLATED) as file:
         file.writestr("more.npy", bytes(2_000_000))

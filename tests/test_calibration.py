@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from napari_defocus import Cancelled, Disc, estimate_candidates, simulate_defocus
-from napari_defocus.calibration import calibrate_psf, disc_radius
-from napari_defocus.measured_psf import MeasuredPSF
-from napari_defocus.psf import Annulus, Gaussian, Polygon
+from napari_defocus.psf.calibration import calibrate_psf, disc_radius
+from napari_defocus.psf.families import Annulus, Gaussian, Polygon
+from napari_defocus.psf.measured import MeasuredPSF
 
 LENS = Polygon(5, rotation=10.0)
 

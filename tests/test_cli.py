@@ -18,9 +18,9 @@ from PIL import Image
 
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
-from napari_defocus.cli import app
-from napari_defocus.intensity import Intensities
-from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
+from napari_defocus.cli.app import app
+from napari_defocus.core.intensity import Intensities
+from napari_defocus.core.settings import COMPARED_PSFS, MapSettings, MaskSettings
 
 SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
 
@@ -821,7 +821,7 @@ def test_demo_into_what_is_no_folder(tmp_path, instant):
 def test_pipe_gets_the_result_and_nothing_else(picture):
     """No progress, no warning of a library, no import of napari or Qt."""
     code = (
-        "import atexit, sys; from napari_defocus.cli import main; "
+        "import atexit, sys; from napari_defocus.cli.app import main; "
         "atexit.register(lambda: print(*{'napari', 'qtpy', 'PySide6'} & {*sys.modules}, end='')); "
         "main()"
     )
@@ -833,7 +833,7 @@ def test_pipe_gets_the_result_and_nothing_else(picture):
 
 def test_ctrl_c_leaves_nothing_behind(picture):
     code = (
-        "import signal, napari_defocus; from napari_defocus.cli import main; "
+        "import signal, napari_defocus; from napari_defocus.cli.app import main; "
         "signal.signal(signal.SIGINT, signal.default_int_handler); "
         "napari_defocus.label_blur_map = lambda *_, **__: signal.raise_signal(signal.SIGINT); "
         "main()"

@@ -7,8 +7,15 @@ import psutil
 import pytest
 from distributed import LocalCluster
 
-from napari_defocus import cluster
-from napari_defocus.cluster import Job, cores, dask_client, in_this_process, outcomes, threads_of
+from napari_defocus.batch import cluster
+from napari_defocus.batch.cluster import (
+    Job,
+    cores,
+    dask_client,
+    in_this_process,
+    outcomes,
+    threads_of,
+)
 
 
 @pytest.fixture(scope="module")

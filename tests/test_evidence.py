@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from napari_defocus import estimate_blur_map, estimate_candidates, label_blur_map, segment_in_focus
-from napari_defocus.evidence import evidence_share, on_own_side
-from napari_defocus.image import prepare_image
-from napari_defocus.layered import simulate_layered_defocus
+from napari_defocus.core.image import prepare_image
+from napari_defocus.forward.occlusion import simulate_layered_defocus
+from napari_defocus.labeling.data_term import evidence_share, on_own_side
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from napari_defocus import (
     explain_pixel,
     label_blur_map,
 )
-from napari_defocus.evidence import evidence_share, on_own_side
-from napari_defocus.image import prepare_image
+from napari_defocus.core.image import prepare_image
+from napari_defocus.labeling.data_term import evidence_share, on_own_side
 
 RADIUS = 4.0
 

@@ -15,7 +15,8 @@ import pytest
 import tifffile
 from PIL import Image, ImageOps
 
-from napari_defocus.files import (
+from napari_defocus.core.image import prepare_image
+from napari_defocus.io.pictures import (
     NeedsForce,
     UnreadablePicture,
     UnwritableResult,
@@ -23,7 +24,6 @@ from napari_defocus.files import (
     read_picture,
     write_results,
 )
-from napari_defocus.image import prepare_image
 
 ORIENTATION = 274
 

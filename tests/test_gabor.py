@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_defocus.gabor import (
+from napari_defocus.likelihood.gabor import (
     frequencies,
     gradients,
     local_power,

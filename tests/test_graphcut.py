@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from napari_defocus import estimate_candidates
-from napari_defocus.boundaries import Blocks
-from napari_defocus.coarser_grids import STEPS
-from napari_defocus.graphcut import (
+from napari_defocus.labeling.blur_map import CURVE_WEIGHT
+from napari_defocus.labeling.graph_cuts import (
     energy_of,
     expand,
     expand_until_settled,
@@ -20,8 +19,9 @@ from napari_defocus.graphcut import (
     minimize_energy,
     solve_exactly,
 )
-from napari_defocus.labeling import CURVE_WEIGHT
-from napari_defocus.scene import data_term
+from napari_defocus.labeling.multigrid import STEPS
+from napari_defocus.labeling.pixel_refinement import Blocks
+from napari_defocus.labeling.problem import data_term
 
 seeds = st.integers(0, 2**32 - 1)
 

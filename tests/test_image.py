@@ -11,7 +11,7 @@ from napari_defocus import (
     segment_in_focus,
     simulate_defocus,
 )
-from napari_defocus.image import prepare_image
+from napari_defocus.core.image import prepare_image
 
 
 def _label(image, **options):

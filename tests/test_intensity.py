@@ -20,7 +20,7 @@ from napari_defocus import (
     sharpest_plane,
     simulate_defocus,
 )
-from napari_defocus.cli import app
+from napari_defocus.cli.app import app
 
 da = pytest.importorskip("dask.array")
 

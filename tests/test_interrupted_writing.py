@@ -19,7 +19,7 @@ needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="has other sign
 
 WRITE_A_STACK = """
     import numpy as np, sys
-    from napari_defocus.tiff_stacks import write_pyramidal_tiff
+    from napari_defocus.io.tiff_writer import write_pyramidal_tiff
     value, path = float(sys.argv[1]), sys.argv[2]
     stack = np.full((2, 2048, 2048), value, np.float32)
     print("begun", flush=True)
@@ -103,12 +103,13 @@ def test_limit_for_the_size_of_files_ends_in_words(tmp_path):
 
 # --- a process that is ended ----------------------------------------------------------------
 
-COMMAND = "from napari_defocus.cli import main; main()"
+COMMAND = "from napari_defocus.cli.app import main; main()"
 
 COMMAND_THAT_WAITS = """
     import signal, sys, time
     from pathlib import Path
-    from napari_defocus import cli, files
+    from napari_defocus.cli import app as cli
+    from napari_defocus.io import pictures as files
     write, waits = files._write_through, Path(sys.argv.pop())
 
     def slowly(path, content):
@@ -142,7 +143,7 @@ def test_ended_while_it_writes_the_command_leaves_what_was_there(picture, sent, 
 def test_what_nohup_ignores_stays_ignored():
     code = """
         import signal
-        from napari_defocus.terminal import end_as_after_ctrl_c
+        from napari_defocus.cli.console import end_as_after_ctrl_c
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         end_as_after_ctrl_c()
         signal.raise_signal(signal.SIGHUP)
@@ -191,8 +192,8 @@ def test_too_little_memory_is_said_in_one_line(tmp_path):
     Image.new("L", (7000, 7000)).save(tmp_path / "large.png")
     code = """
         import os, resource
-        import napari_defocus.labeling, tifffile
-        from napari_defocus.cli import main
+        import napari_defocus.labeling.blur_map, tifffile
+        from napari_defocus.cli.app import main
         pages = int(open("/proc/self/statm").read().split()[0])
         limit = pages * resource.getpagesize() + 150_000_000
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

@@ -15,20 +15,11 @@ from scipy.ndimage import map_coordinates
 
 import napari_defocus
 from napari_defocus import simulate_defocus
-from napari_defocus.best_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
-from napari_defocus.blur_operator import BlurOperator
-from napari_defocus.boundaries import (
-    Blocks,
-    _interpolated_change,
-    energy_of_pixels,
-    interpolate_labels,
-    pixel_weights,
-)
-from napari_defocus.coarser_grids import _RELAXATION, STEPS, _joined_weights, _relaxed
-from napari_defocus.deconvolution import _smoothness_form, _stiffness
-from napari_defocus.evidence import _limited
-from napari_defocus.gabor import _filtered, axis_filters, window_centers
-from napari_defocus.graphcut import (
+from napari_defocus.forward.blur_operator import BlurOperator
+from napari_defocus.labeling.continuous_refinement import _around
+from napari_defocus.labeling.continuous_refinement import _smoothness_form as _bend_form
+from napari_defocus.labeling.data_term import _limited
+from napari_defocus.labeling.graph_cuts import (
     Edges,
     _change,
     _flow,
@@ -38,15 +29,24 @@ from napari_defocus.graphcut import (
     fuse,
     solve_exactly,
 )
-from napari_defocus.likelihood import (
+from napari_defocus.labeling.multigrid import _RELAXATION, STEPS, _joined_weights, _relaxed
+from napari_defocus.labeling.pixel_refinement import (
+    Blocks,
+    _interpolated_change,
+    energy_of_pixels,
+    interpolate_labels,
+    pixel_weights,
+)
+from napari_defocus.likelihood.blur_spectra import SpectrumTable
+from napari_defocus.likelihood.gabor import _filtered, axis_filters, window_centers
+from napari_defocus.likelihood.maxima import _pick_maxima, refine_maxima
+from napari_defocus.likelihood.profile_likelihood import (
     noise_power,
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.maxima import _pick_maxima, refine_maxima
-from napari_defocus.refinement import _around
-from napari_defocus.refinement import _smoothness_form as _bend_form
-from napari_defocus.spectrum import SpectrumTable
+from napari_defocus.restoration.deconvolution import _smoothness_form, _stiffness
+from napari_defocus.stacks.depth_from_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
 
 pytestmark = pytest.mark.kernel
 

@@ -10,12 +10,12 @@ from napari_defocus import (
     Disc,
     estimate_blur_map,
     estimate_candidates,
-    evidence,
     label_blur_map,
     labeling_energy,
 )
-from napari_defocus.boundaries import Blocks
-from napari_defocus.scene import KAPPA, artificial_likelihood, data_term
+from napari_defocus.labeling import data_term as evidence
+from napari_defocus.labeling.pixel_refinement import Blocks
+from napari_defocus.labeling.problem import KAPPA, artificial_likelihood, data_term
 
 TEXTURES = pytest.mark.parametrize("texture", ["grass", "gravel", "clouds"])
 

@@ -3,7 +3,7 @@ import pytest
 from scipy.ndimage import convolve
 
 from napari_defocus import Disc, simulate_defocus
-from napari_defocus.layered import simulate_layered_defocus
+from napari_defocus.forward.occlusion import simulate_layered_defocus
 
 COLUMN = np.broadcast_to(np.arange(60), (60, 60))
 NEAR = COLUMN >= 30

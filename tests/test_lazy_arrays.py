@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_defocus.lazy_arrays import lazy_array
+from napari_defocus.io.lazy_arrays import lazy_array
 
 
 class Noted:

@@ -5,13 +5,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from napari_defocus import Disc
-from napari_defocus.likelihood import (
+from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, spectrum_table
+from napari_defocus.likelihood.maxima import local_maxima, refine_maxima
+from napari_defocus.likelihood.profile_likelihood import (
     noise_power,
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.maxima import local_maxima, refine_maxima
-from napari_defocus.spectrum import SpectrumTable, label_scales, spectrum_table
 
 NOISE_VARIANCE = 1e-5
 SCALES = label_scales(Disc())

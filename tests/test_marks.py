@@ -10,14 +10,14 @@ from command_line import names_in, run
 from PIL import Image
 
 from napari_defocus import measure_batch
-from napari_defocus.files import UnreadablePicture
-from napari_defocus.marks import is_picture, mark_of
-from napari_defocus.ome_zarr_writer import new_ome_zarr
-from napari_defocus.picture_files import look_for_pictures, told_left_out
-from napari_defocus.results import picture_png
-from napari_defocus.settings import MapSettings
-from napari_defocus.settings_file import Settings
-from napari_defocus.tiff_stacks import write_pyramidal_tiff
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.io.encoders import picture_png
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.picture_files import look_for_pictures, told_left_out
+from napari_defocus.io.pictures import UnreadablePicture
+from napari_defocus.io.provenance import is_picture, mark_of
+from napari_defocus.io.settings_file import Settings
+from napari_defocus.io.tiff_writer import write_pyramidal_tiff
 
 LENS = ("--focal-length", 50, "--f-number", 2, "--focus-distance", 2, "--pixel-pitch", 5)
 

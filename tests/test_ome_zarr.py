@@ -8,8 +8,8 @@ import zarr
 from ome_zarr_models.v04.image import Image as Image04
 from ome_zarr_models.v05.image import Image as Image05
 
-from napari_defocus.files import UnreadablePicture
-from napari_defocus.ome_zarr import is_zarr, read_ome_zarr
+from napari_defocus.io.ome_zarr import is_zarr, read_ome_zarr
+from napari_defocus.io.pictures import UnreadablePicture
 
 AXES = {
     "t": {"name": "t", "type": "time", "unit": "second"},

@@ -11,9 +11,9 @@ import pytest
 import zarr
 from ome_zarr_models.v05.image import Image
 
-from napari_defocus.files import UnwritableResult
-from napari_defocus.ome_zarr import read_ome_zarr
-from napari_defocus.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.ome_zarr import read_ome_zarr
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.pictures import UnwritableResult
 
 MICRONS = {"y": "micrometer", "x": "micrometer"}
 
@@ -218,7 +218,7 @@ def test_damaged_part_is_thrown_away(tmp_path):
 def test_killed_while_the_pyramid_is_made_the_run_finishes_later(tmp_path, blur, monkeypatch):
     writer = begun(tmp_path / "a.zarr")
     writer.write_region(everything(writer), blur)
-    killed_at(monkeypatch, "napari_defocus.ome_zarr_writer._say_what_it_is", 1)
+    killed_at(monkeypatch, "napari_defocus.io.ome_zarr_writer._say_what_it_is", 1)
     with pytest.raises(KeyboardInterrupt):
         writer.finish()
     monkeypatch.undo()

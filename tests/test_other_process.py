@@ -16,10 +16,10 @@ from napari_defocus import (
     KernelFunction,
     estimate_candidates,
     label_blur_map,
-    other_process,
     segment_in_focus,
 )
-from napari_defocus.other_process import run_elsewhere
+from napari_defocus.core import worker_process as other_process
+from napari_defocus.core.worker_process import run_elsewhere
 
 OWN_STEPS = other_process.STARTING, other_process.HANDING_OVER, other_process.LOADING
 
@@ -247,7 +247,7 @@ def test_nothing_is_printed_and_nobody_is_asked(capfd):
 SCRIPT = """
 import os, signal, sys, threading
 sys.path.insert(0, {tests!r})
-from napari_defocus.other_process import run_elsewhere
+from napari_defocus.core.worker_process import run_elsewhere
 import errands
 
 print(os.getpid(), flush=True)

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import convolve
 
 from napari_defocus import Disc, PSFFamily
-from napari_defocus.measured_psf import MeasuredPSF
-from napari_defocus.psf import (
+from napari_defocus.psf.families import (
     Annulus,
     Gaussian,
     GeneralizedGaussian,
@@ -16,7 +15,8 @@ from napari_defocus.psf import (
     Polygon,
     as_family,
 )
-from napari_defocus.psf_text import psf_from_text, psf_text
+from napari_defocus.psf.measured import MeasuredPSF
+from napari_defocus.psf.text import psf_from_text, psf_text
 
 RADII = [0.0, 0.3, 0.5, 0.51, 0.7, 1.0, 1.5, 2.37, 3.0, 4.5, 6.66, 8.0]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_defocus.pyramid import halve_into, halved, level_shapes
+from napari_defocus.io.multiscale import halve_into, halved, level_shapes
 
 
 def test_mean_leaves_out_what_is_not_known_and_masks_keep_what_is_thin():

@@ -14,8 +14,10 @@ from command_line import names_in, run
 from PIL import Image
 
 import napari_defocus
-from napari_defocus import Settings, cluster, sample_commands, simulate_defocus
-from napari_defocus.ome_zarr_writer import new_ome_zarr
+from napari_defocus import Settings, simulate_defocus
+from napari_defocus.batch import cluster
+from napari_defocus.cli import sample as sample_commands
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

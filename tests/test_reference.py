@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 
 from napari_defocus import Disc, simulate_defocus
-from napari_defocus.gabor import gradients, local_power
-from napari_defocus.image import prepare_image
-from napari_defocus.likelihood import noise_power, profile_log_likelihood, quasi_log_likelihood
-from napari_defocus.maxima import local_maxima
-from napari_defocus.psf import Gaussian
-from napari_defocus.reference import exact_log_likelihood, fixed_point_maxima
-from napari_defocus.spectrum import label_scales, spectrum_table
+from napari_defocus.core.image import prepare_image
+from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
+from napari_defocus.likelihood.fixed_point import exact_log_likelihood, fixed_point_maxima
+from napari_defocus.likelihood.gabor import gradients, local_power
+from napari_defocus.likelihood.maxima import local_maxima
+from napari_defocus.likelihood.profile_likelihood import (
+    noise_power,
+    profile_log_likelihood,
+    quasi_log_likelihood,
+)
+from napari_defocus.psf.families import Gaussian
 
 WINDOW = 41
 DISCS = [

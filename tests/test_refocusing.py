@@ -18,13 +18,13 @@ from napari_defocus import (
     ThinLens,
     blur_from_depth,
     change_focus,
-    refocusing,
     restore_all_in_focus,
     simulate_defocus,
     simulate_layered_defocus,
 )
-from napari_defocus.image import decode_srgb
-from napari_defocus.settings import RefocusSettings
+from napari_defocus.core.image import decode_srgb
+from napari_defocus.core.settings import RefocusSettings
+from napari_defocus.restoration import refocusing
 
 SIDE = 80
 FAR = np.broadcast_to(np.arange(SIDE) >= 40, (SIDE, SIDE))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_defocus import measure_regions
-from napari_defocus.regions import measure_focus
+from napari_defocus.labeling.regions import measure_focus
 
 
 @pytest.fixture

@@ -127,7 +127,7 @@ def test_opacity_comes_back_and_transparent_pixels_are_no_data(coffee, blurred, 
 
 
 def test_picture_is_restored_in_linear_light(coffee, radii):
-    from napari_defocus.image import decode_srgb, encode_srgb
+    from napari_defocus.core.image import decode_srgb, encode_srgb
 
     light = simulate_defocus(decode_srgb(coffee), radii, noise_variance=1e-6, rng=0)
     seen = encode_srgb(light.clip(0, 1))

@@ -8,8 +8,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from napari_defocus.files import read_picture, write_results
-from napari_defocus.results import (
+from napari_defocus.io.encoders import (
     blur_map_png,
     blur_map_tiff,
     confidence_tiff,
@@ -23,6 +22,7 @@ from napari_defocus.results import (
     settings_in_tiff,
     values_in_tiff,
 )
+from napari_defocus.io.pictures import read_picture, write_results
 
 
 @pytest.fixture

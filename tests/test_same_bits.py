@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import napari_defocus
-from napari_defocus.bands import in_bands
+from napari_defocus.core.threads import in_bands
 
 PACKAGE = Path(napari_defocus.__file__).parent
 

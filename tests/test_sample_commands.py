@@ -6,7 +6,7 @@ import pytest
 from command_line import assert_fails_in_one_line, names_in, run
 from PIL import Image
 
-from napari_defocus.sample_commands import AUTHORS, sample_path
+from napari_defocus.cli.sample import AUTHORS, sample_path
 
 
 @pytest.mark.parametrize(("name", "size"), [("dandelion", (1000, 562)), ("brushes", (900, 708))])

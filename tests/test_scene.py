@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from napari_defocus import estimate_candidates, label_blur_map, segment_in_focus
-from napari_defocus.labeling import blur_map_of_scene, preview_of_blur_map
-from napari_defocus.progress import Cancelled
-from napari_defocus.scene import Scene, UnknownSceneError, with_scene
-from napari_defocus.segmentation import mask_of_scene
+from napari_defocus.core.progress import Cancelled
+from napari_defocus.labeling.blur_map import blur_map_of_scene, preview_of_blur_map
+from napari_defocus.labeling.problem import Scene, UnknownSceneError, with_scene
+from napari_defocus.labeling.segmentation import mask_of_scene
 
 
 @pytest.fixture(scope="module")

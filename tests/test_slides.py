@@ -9,9 +9,9 @@ import tifffile
 from command_line import assert_fails_in_one_line, run
 from microscope_files import SLIDES, write_lsm, write_slide, write_stk
 
-from napari_defocus.files import UnreadablePicture, read_picture, told_choice_in
-from napari_defocus.sources import find_sources, open_source
-from napari_defocus.tiff_series import picture_number
+from napari_defocus.io.open import find_sources, open_source
+from napari_defocus.io.pictures import UnreadablePicture, read_picture, told_choice_in
+from napari_defocus.io.tiff_series import picture_number
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ import tifffile
 import zarr
 from PIL import Image
 
-from napari_defocus.files import UnreadablePicture, read_picture
-from napari_defocus.ome_zarr_writer import new_ome_zarr
-from napari_defocus.sources import find_sources, open_source
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.open import find_sources, open_source
+from napari_defocus.io.pictures import UnreadablePicture, read_picture
 
 MICRON, SECOND = "micrometer", "second"
 
@@ -256,7 +256,7 @@ def test_largest_level_of_a_pyramid_is_read(tmp_path, rng, subifds):
 
 
 def test_only_the_tiles_asked_for_are_read(tmp_path, rng, monkeypatch):
-    monkeypatch.setattr("napari_defocus.lazy_arrays.LEAST_SIDE", 32)
+    monkeypatch.setattr("napari_defocus.io.lazy_arrays.LEAST_SIDE", 32)
     values = bytes_of(rng, 3, 128, 128)
     options = {"tile": (32, 32), "compression": "zlib", "metadata": {"axes": "ZYX"}}
     path = tmp_path / "s.ome.tif"
@@ -450,13 +450,17 @@ def test_input_that_names_nothing_is_an_error(folder, given, complaint):
 
 
 def test_opening_imports_nothing_that_the_package_does_not_need():
-    code = "import sys, napari_defocus.sources, napari_defocus.ome_zarr_writer; print(*sys.modules)"
+    code = (
+        "import sys, napari_defocus.io.open, napari_defocus.io.ome_zarr_writer; print(*sys.modules)"
+    )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"dask", "zarr", "ome_zarr_models", "tifffile"} & set(told.stdout.split())
 
 
 def test_missing_extra_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setattr("napari_defocus.lazy_arrays.find_spec", lambda name: name == "dask" or None)
+    monkeypatch.setattr(
+        "napari_defocus.io.lazy_arrays.find_spec", lambda name: name == "dask" or None
+    )
     with pytest.raises(
         ImportError, match=r"zarr, ome_zarr_models: pip install 'napari-defocus\[large\]'"
     ):

@@ -6,16 +6,16 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import fftconvolve
 
 from napari_defocus import Disc
-from napari_defocus.gabor import frequencies, gradients, local_power
-from napari_defocus.measured_psf import MeasuredPSF
-from napari_defocus.psf import Annulus, Gaussian, KernelFunction, Polygon
-from napari_defocus.spectrum import (
+from napari_defocus.likelihood.blur_spectra import (
     check_windows,
     fit_log_spectra,
     fit_report,
     label_scales,
     spectrum_table,
 )
+from napari_defocus.likelihood.gabor import frequencies, gradients, local_power
+from napari_defocus.psf.families import Annulus, Gaussian, KernelFunction, Polygon
+from napari_defocus.psf.measured import MeasuredPSF
 
 FRACTIONS = pytest.mark.parametrize("fraction", [(0.0, 0.0), (0.5, 0.5), (0.0, 0.5)])
 

@@ -17,8 +17,8 @@ from microscope_files import (
 )
 
 import napari_defocus
-from napari_defocus.sources import open_source, open_stack
-from napari_defocus.tiff_stacks import made_by, write_pyramidal_tiff
+from napari_defocus.io.open import open_source, open_stack
+from napari_defocus.io.tiff_writer import made_by, write_pyramidal_tiff
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_defocus import depth_surface
-from napari_defocus.surface import blur_surface
+from napari_defocus.optics.mesh import blur_surface
 
 
 def consistent(surface):

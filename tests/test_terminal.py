@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
-from napari_defocus import commands
-from napari_defocus.option_groups import Reporting
-from napari_defocus.progress import CompilationClock
-from napari_defocus.terminal import progress_in_terminal
+from napari_defocus.cli import command as commands
+from napari_defocus.cli.console import progress_in_terminal
+from napari_defocus.cli.option_groups import Reporting
+from napari_defocus.core.progress import CompilationClock
 
 COMPILING = "Compiling the kernels, once"
 STEPS = [(COMPILING, 0.07), ("Estimating blur [1]", 0.5), ("Putting pixels together", 1.0)]

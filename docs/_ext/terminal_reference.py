@@ -6,7 +6,7 @@ import typer
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
-from napari_defocus.cli import app as program
+from napari_defocus.cli.app import app as program
 
 NAME = "napari-defocus"
 

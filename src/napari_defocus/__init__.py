@@ -8,20 +8,32 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from napari_defocus.batch import measure_batch
-    from napari_defocus.calibration import calibrate_psf
-    from napari_defocus.candidates import BlurCandidates, estimate_candidates
-    from napari_defocus.comparison import PSFComparison, PSFEvidence, compare_psf
-    from napari_defocus.confidence import cautious_blur_map, confidence_map
-    from napari_defocus.depth import ThinLens, blur_from_depth, depth_from_blur
-    from napari_defocus.explanation import PixelExplanation, draw_explanation, explain_pixel
-    from napari_defocus.focus_of_planes import FocusCurve, focus_curve
-    from napari_defocus.labeling import estimate_blur_map, label_blur_map, labeling_energy
-    from napari_defocus.layered import simulate_layered_defocus
-    from napari_defocus.measured_psf import MeasuredPSF
-    from napari_defocus.noise import ShotNoise, estimate_noise_variance, estimate_shot_noise
-    from napari_defocus.progress import Cancelled
-    from napari_defocus.psf import (
+    from napari_defocus.batch.batch import measure_batch
+    from napari_defocus.core.progress import Cancelled
+    from napari_defocus.forward.occlusion import simulate_layered_defocus
+    from napari_defocus.forward.simulation import simulate_defocus
+    from napari_defocus.io.settings_file import Settings
+    from napari_defocus.labeling.blur_map import estimate_blur_map, label_blur_map, labeling_energy
+    from napari_defocus.labeling.confidence import cautious_blur_map, confidence_map
+    from napari_defocus.labeling.explanation import (
+        PixelExplanation,
+        draw_explanation,
+        explain_pixel,
+    )
+    from napari_defocus.labeling.regions import RegionTable, measure_regions
+    from napari_defocus.labeling.segmentation import segment_in_focus
+    from napari_defocus.likelihood.blur_spectra import FitReport, fit_report
+    from napari_defocus.likelihood.candidates import BlurCandidates, estimate_candidates
+    from napari_defocus.likelihood.noise import (
+        ShotNoise,
+        estimate_noise_variance,
+        estimate_shot_noise,
+    )
+    from napari_defocus.likelihood.psf_comparison import PSFComparison, PSFEvidence, compare_psf
+    from napari_defocus.optics.mesh import DepthSurface, depth_surface
+    from napari_defocus.optics.thin_lens import ThinLens, blur_from_depth, depth_from_blur
+    from napari_defocus.psf.calibration import calibrate_psf
+    from napari_defocus.psf.families import (
         Annulus,
         Disc,
         Gaussian,
@@ -30,67 +42,63 @@ if TYPE_CHECKING:
         Polygon,
         PSFFamily,
     )
-    from napari_defocus.psf_text import psf_from_text
-    from napari_defocus.refocusing import change_focus
-    from napari_defocus.regions import RegionTable, measure_regions
-    from napari_defocus.restoration import restore_all_in_focus
-    from napari_defocus.segmentation import segment_in_focus
-    from napari_defocus.settings_file import Settings
-    from napari_defocus.sharpest import SharpestPlane, sharpest_plane
-    from napari_defocus.simulation import simulate_defocus
-    from napari_defocus.spectrum import FitReport, fit_report
-    from napari_defocus.surface import DepthSurface, depth_surface
+    from napari_defocus.psf.measured import MeasuredPSF
+    from napari_defocus.psf.text import psf_from_text
+    from napari_defocus.restoration.all_in_focus import restore_all_in_focus
+    from napari_defocus.restoration.refocusing import change_focus
+    from napari_defocus.stacks.focus_curve import FocusCurve, focus_curve
+    from napari_defocus.stacks.focus_stacking import SharpestPlane, sharpest_plane
 
 __version__ = "0.1.0"
 
 _HOME_OF = {
-    "Annulus": "psf",
-    "BlurCandidates": "candidates",
-    "Cancelled": "progress",
-    "DepthSurface": "surface",
-    "Disc": "psf",
-    "FitReport": "spectrum",
-    "FocusCurve": "focus_of_planes",
-    "Gaussian": "psf",
-    "GeneralizedGaussian": "psf",
-    "KernelFunction": "psf",
-    "MeasuredPSF": "measured_psf",
-    "PSFComparison": "comparison",
-    "PSFEvidence": "comparison",
-    "PSFFamily": "psf",
-    "PixelExplanation": "explanation",
-    "Polygon": "psf",
-    "RegionTable": "regions",
-    "Settings": "settings_file",
-    "SharpestPlane": "sharpest",
-    "ShotNoise": "noise",
-    "ThinLens": "depth",
-    "blur_from_depth": "depth",
-    "calibrate_psf": "calibration",
-    "cautious_blur_map": "confidence",
-    "change_focus": "refocusing",
-    "compare_psf": "comparison",
-    "confidence_map": "confidence",
-    "depth_from_blur": "depth",
-    "depth_surface": "surface",
-    "draw_explanation": "explanation",
-    "estimate_blur_map": "labeling",
-    "estimate_candidates": "candidates",
-    "estimate_noise_variance": "noise",
-    "estimate_shot_noise": "noise",
-    "explain_pixel": "explanation",
-    "fit_report": "spectrum",
-    "focus_curve": "focus_of_planes",
-    "label_blur_map": "labeling",
-    "labeling_energy": "labeling",
-    "measure_batch": "batch",
-    "measure_regions": "regions",
-    "psf_from_text": "psf_text",
-    "restore_all_in_focus": "restoration",
-    "segment_in_focus": "segmentation",
-    "sharpest_plane": "sharpest",
-    "simulate_defocus": "simulation",
-    "simulate_layered_defocus": "layered",
+    "Annulus": "psf.families",
+    "BlurCandidates": "likelihood.candidates",
+    "Cancelled": "core.progress",
+    "DepthSurface": "optics.mesh",
+    "Disc": "psf.families",
+    "FitReport": "likelihood.blur_spectra",
+    "FocusCurve": "stacks.focus_curve",
+    "Gaussian": "psf.families",
+    "GeneralizedGaussian": "psf.families",
+    "KernelFunction": "psf.families",
+    "MeasuredPSF": "psf.measured",
+    "PSFComparison": "likelihood.psf_comparison",
+    "PSFEvidence": "likelihood.psf_comparison",
+    "PSFFamily": "psf.families",
+    "PixelExplanation": "labeling.explanation",
+    "Polygon": "psf.families",
+    "RegionTable": "labeling.regions",
+    "Settings": "io.settings_file",
+    "SharpestPlane": "stacks.focus_stacking",
+    "ShotNoise": "likelihood.noise",
+    "ThinLens": "optics.thin_lens",
+    "blur_from_depth": "optics.thin_lens",
+    "calibrate_psf": "psf.calibration",
+    "cautious_blur_map": "labeling.confidence",
+    "change_focus": "restoration.refocusing",
+    "compare_psf": "likelihood.psf_comparison",
+    "confidence_map": "labeling.confidence",
+    "depth_from_blur": "optics.thin_lens",
+    "depth_surface": "optics.mesh",
+    "draw_explanation": "labeling.explanation",
+    "estimate_blur_map": "labeling.blur_map",
+    "estimate_candidates": "likelihood.candidates",
+    "estimate_noise_variance": "likelihood.noise",
+    "estimate_shot_noise": "likelihood.noise",
+    "explain_pixel": "labeling.explanation",
+    "fit_report": "likelihood.blur_spectra",
+    "focus_curve": "stacks.focus_curve",
+    "label_blur_map": "labeling.blur_map",
+    "labeling_energy": "labeling.blur_map",
+    "measure_batch": "batch.batch",
+    "measure_regions": "labeling.regions",
+    "psf_from_text": "psf.text",
+    "restore_all_in_focus": "restoration.all_in_focus",
+    "segment_in_focus": "labeling.segmentation",
+    "sharpest_plane": "stacks.focus_stacking",
+    "simulate_defocus": "forward.simulation",
+    "simulate_layered_defocus": "forward.occlusion",
 }
 
 __all__ = [

@@ -17,22 +17,19 @@ from numba.core import event
 from numba.core.dispatcher import Dispatcher
 from scipy.ndimage import uniform_filter
 
-from napari_defocus import (
-    boundaries,
-    coarser_grids,
-    evidence,
-    gabor,
-    graphcut,
-    likelihood,
-    maxima,
-    refinement,
-)
-from napari_defocus.bands import in_one_thread
-from napari_defocus.candidates import estimate_candidates
-from napari_defocus.confidence import confidence_map
-from napari_defocus.labeling import label_blur_map
-from napari_defocus.progress import COMPILING, Progress
-from napari_defocus.segmentation import segment_in_focus
+from napari_defocus.core.progress import COMPILING, Progress
+from napari_defocus.core.threads import in_one_thread
+from napari_defocus.labeling import continuous_refinement as refinement
+from napari_defocus.labeling import data_term as evidence
+from napari_defocus.labeling import graph_cuts as graphcut
+from napari_defocus.labeling import multigrid as coarser_grids
+from napari_defocus.labeling import pixel_refinement as boundaries
+from napari_defocus.labeling.blur_map import label_blur_map
+from napari_defocus.labeling.confidence import confidence_map
+from napari_defocus.labeling.segmentation import segment_in_focus
+from napari_defocus.likelihood import gabor, maxima
+from napari_defocus.likelihood import profile_likelihood as likelihood
+from napari_defocus.likelihood.candidates import estimate_candidates
 
 _MODULES = (
     gabor, likelihood, maxima, evidence, coarser_grids, graphcut, boundaries, refinement

@@ -13,7 +13,7 @@ from pytestqt.qtbot import QtBot
 
 import napari_defocus
 from napari_defocus import Cancelled, ShotNoise
-from napari_defocus.intensity import Intensities
+from napari_defocus.core.intensity import Intensities
 
 ONLY_WHAT_HANGS = 600_000
 """Milliseconds to wait for what has to come: a busy machine is slow, and that is no mistake."""
@@ -50,14 +50,14 @@ def pytest_sessionfinish():
 @pytest.fixture(autouse=True)
 def _nothing_kept(request, monkeypatch):
     """Start without what other tests have found, and without the developer's Preferences."""
-    from napari_defocus.widgets import preferences
+    from napari_defocus.widgets.layers import preferences
 
     if "plugin_settings" not in request.fixturenames:
         monkeypatch.setattr(preferences, "_said", dict)
     if request.node.get_closest_marker("display") is None:
         return
-    from napari_defocus.widgets.image_panel import ImagePanel
-    from napari_defocus.widgets.kept import KeptWork
+    from napari_defocus.widgets.forms.image_panel import ImagePanel
+    from napari_defocus.widgets.jobs.cache import KeptWork
 
     monkeypatch.setattr(ImagePanel, "kept", KeptWork())
 

@@ -12,14 +12,14 @@ from napari_defocus import (
     segment_in_focus,
     simulate_defocus,
 )
-from napari_defocus.other_process import run_elsewhere
-from napari_defocus.scene import with_scene
-from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
-from napari_defocus.widgets import estimation
-from napari_defocus.widgets.analysis import Analysis, Comparison
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.results import METADATA_KEY
+from napari_defocus.core.settings import COMPARED_PSFS, MapSettings, MaskSettings
+from napari_defocus.core.worker_process import run_elsewhere
+from napari_defocus.labeling.problem import with_scene
+from napari_defocus.widgets.jobs import estimation
+from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 
 @pytest.fixture

@@ -4,17 +4,17 @@ import weakref
 import numpy as np
 import pytest
 
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.cursor_text import tell_under_cursor, text_under_cursor
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.result_layers import (
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.cursor_text import tell_under_cursor, text_under_cursor
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
     confidence_layer,
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.results import METADATA_KEY
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 RADIUS, SURE = 3.21, 0.94
 

@@ -6,13 +6,13 @@ import pytest
 from napari.layers import Surface
 
 from napari_defocus import ThinLens, blur_from_depth, depth_from_blur
-from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.distances import Distances
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.map_source import EstimatedSource, source_of_layer
-from napari_defocus.widgets.results import METADATA_KEY
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.distances import Distances
+from napari_defocus.widgets.jobs.map_source import EstimatedSource, source_of_layer
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 LENS = ThinLens(focal_length_mm=50, f_number=2, focus_distance_m=2, pixel_pitch_um=50)
 PLACED = {

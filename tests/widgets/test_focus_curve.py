@@ -7,14 +7,14 @@ import pytest
 from matplotlib.backend_bases import MouseEvent
 from qtpy.QtWidgets import QFileDialog
 
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.focus_curve import NO_STACK, FocusCurveWidget
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.planes_field import PlanesField
-from napari_defocus.widgets.region_field import RegionField
-from napari_defocus.widgets.showing import show_results
-from napari_defocus.widgets.stack_analysis import StackAnalysis
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.docks.focus_curve import NO_STACK, FocusCurveWidget
+from napari_defocus.widgets.forms.planes_field import PlanesField
+from napari_defocus.widgets.forms.region_field import RegionField
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis
+from napari_defocus.widgets.layers.image_layers import shown_plane
 
 pytestmark = pytest.mark.display
 

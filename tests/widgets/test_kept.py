@@ -4,7 +4,7 @@ import weakref
 import numpy as np
 from napari.layers import Image
 
-from napari_defocus.widgets.kept import Kept, fingerprint
+from napari_defocus.widgets.jobs.cache import Kept, fingerprint
 
 
 class Estimate:

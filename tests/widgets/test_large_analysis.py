@@ -13,35 +13,32 @@ from dask.callbacks import Callback
 from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
-from napari_defocus.intensity import Intensities
-from napari_defocus.lazy_arrays import Carried
-from napari_defocus.ome_zarr import read_ome_zarr
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets import (
-    large_analysis,
-    layers,
-    result_stores,
-    stack_analysis,
-    stored_parts,
-)
-from napari_defocus.widgets.analysis import Analysis
-from napari_defocus.widgets.cursor_text import text_under_cursor
-from napari_defocus.widgets.defocus import DefocusWidget
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.kept_files import NotAMapError, write_store
-from napari_defocus.widgets.large_analysis import LargeAnalysis, is_large
-from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
-from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
-from napari_defocus.widgets.map_files import save_map
-from napari_defocus.widgets.map_source import source_of_layer
-from napari_defocus.widgets.probing import NothingKnownError, probed
-from napari_defocus.widgets.region_table import add_regions
-from napari_defocus.widgets.result_layers import not_trusted_layer
-from napari_defocus.widgets.result_stores import Place
-from napari_defocus.widgets.results import METADATA_KEY, STORE
-from napari_defocus.widgets.showing import show_results
-from napari_defocus.widgets.stack_analysis import StackAnalysis
-from napari_defocus.widgets.stored_parts import with_time_left
+from napari_defocus.core.intensity import Intensities
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.io.lazy_arrays import Carried
+from napari_defocus.io.ome_zarr import read_ome_zarr
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.cursor_text import text_under_cursor
+from napari_defocus.widgets.display.probing import NothingKnownError, probed
+from napari_defocus.widgets.display.region_table import add_regions
+from napari_defocus.widgets.docks.defocus import DefocusWidget
+from napari_defocus.widgets.docks.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.export.map_files import save_map
+from napari_defocus.widgets.export.stores import NotAMapError, write_store
+from napari_defocus.widgets.jobs import large_analysis, stack_analysis
+from napari_defocus.widgets.jobs import tiled_job as stored_parts
+from napari_defocus.widgets.jobs.analysis import Analysis
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.large_analysis import LargeAnalysis, is_large
+from napari_defocus.widgets.jobs.map_source import source_of_layer
+from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis
+from napari_defocus.widgets.jobs.tiled_job import with_time_left
+from napari_defocus.widgets.layers import image_layers as layers
+from napari_defocus.widgets.layers import result_stores
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.layers.result_layers import not_trusted_layer
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, STORE
+from napari_defocus.widgets.layers.result_stores import Place
 
 PLACED = {
     "scale": (0.5, 0.25),

@@ -5,17 +5,22 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels
 
 from napari_defocus import __version__
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets import layers
-from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
-from napari_defocus.widgets.result_layers import (
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.layers import image_layers as layers
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
     confidence_layer,
     in_focus_layer,
     not_trusted_layer,
 )
-from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY, layer_of_result, made_by_us
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.widgets.layers.result_metadata import (
+    BLUR_MAP,
+    METADATA_KEY,
+    layer_of_result,
+    made_by_us,
+)
 
 PLACED = {
     "scale": (0.5, 0.25),

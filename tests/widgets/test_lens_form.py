@@ -1,7 +1,7 @@
 import pytest
 
 from napari_defocus import psf_from_text
-from napari_defocus.widgets.lens_form import LENSES, MEASURED, LensForm
+from napari_defocus.widgets.forms.lens_form import LENSES, MEASURED, LensForm
 
 pytestmark = pytest.mark.display
 

@@ -9,7 +9,7 @@ from npe2 import PluginManifest
 from npe2.manifest.utils import import_python_name
 
 import napari_defocus
-from napari_defocus.widgets.samples import ramp
+from napari_defocus.widgets.layers.samples import ramp
 
 MANIFEST = PluginManifest.from_file(Path(napari_defocus.__file__).with_name("napari.yaml"))
 CONTRIBUTIONS = MANIFEST.contributions

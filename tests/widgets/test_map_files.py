@@ -17,11 +17,11 @@ from PIL import Image as Picture
 from typer.testing import CliRunner
 
 import napari_defocus
-from napari_defocus.cli import app
-from napari_defocus.results import blur_map_tiff
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.map_files import (
+from napari_defocus.cli.app import app
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.io.encoders import blur_map_tiff
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.export.map_files import (
     PATTERNS,
     NotAMapError,
     map_reader,
@@ -29,10 +29,14 @@ from napari_defocus.widgets.map_files import (
     read_map,
     save_map,
 )
-from napari_defocus.widgets.map_source import may_be_map_of, settings_of_map, source_of_layer
-from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.results import BLUR_MAP, METADATA_KEY, made_by_us
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.widgets.jobs.map_source import may_be_map_of, settings_of_map, source_of_layer
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import (
+    blur_map_layer,
+    confidence_layer,
+    in_focus_layer,
+)
+from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, METADATA_KEY, made_by_us
 
 MANIFEST = PluginManifest.from_file(Path(napari_defocus.__file__).with_name("napari.yaml"))
 SETTINGS = MapSettings(smoothness=5.0, max_radius=6.0)

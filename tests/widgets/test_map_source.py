@@ -2,19 +2,19 @@ import numpy as np
 import pytest
 
 from napari_defocus import Disc, Gaussian, Polygon
-from napari_defocus.progress import silent
-from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.estimation import Picture
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.map_source import (
+from napari_defocus.core.progress import silent
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.jobs.map_source import (
     EstimatedSource,
     LayerSource,
     may_be_map_of,
     source_of_layer,
 )
-from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import blur_map_layer, confidence_layer
 
 
 @pytest.fixture

@@ -5,12 +5,12 @@ import pytest
 
 import napari_defocus
 from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.blur_map import BlurMapWidget
-from napari_defocus.widgets.image_panel import ImagePanel
-from napari_defocus.widgets.in_focus import InFocusWidget
-from napari_defocus.widgets.map_and_mask import MapAndMaskWidget
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.docks.blur_map import BlurMapWidget
+from napari_defocus.widgets.docks.in_focus import InFocusWidget
+from napari_defocus.widgets.docks.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.forms.image_panel import ImagePanel
 
 pytestmark = pytest.mark.display
 

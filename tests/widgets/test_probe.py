@@ -12,15 +12,10 @@ from qtpy.QtTest import QTest
 from skimage.data import gravel
 
 from napari_defocus import explain_pixel, simulate_defocus
-from napari_defocus.progress import silent
-from napari_defocus.settings import MapSettings
-from napari_defocus.widgets import probe
-from napari_defocus.widgets.estimation import Picture, analysed_picture, estimated_map
-from napari_defocus.widgets.image_panel import ImagePanel
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.probe import INTERVAL, ProbeWidget
-from napari_defocus.widgets.probing import (
+from napari_defocus.core.progress import silent
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.probing import (
     NothingKnownError,
     corners_of,
     image_of,
@@ -29,9 +24,14 @@ from napari_defocus.widgets.probing import (
     pixel_at,
     probed,
 )
-from napari_defocus.widgets.result_layers import blur_map_layer
-from napari_defocus.widgets.showing import show_results
-from napari_defocus.widgets.window_outline import WindowOutline
+from napari_defocus.widgets.display.window_outline import WindowOutline
+from napari_defocus.widgets.docks import probe
+from napari_defocus.widgets.docks.probe import INTERVAL, ProbeWidget
+from napari_defocus.widgets.forms.image_panel import ImagePanel
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import Picture, analysed_picture, estimated_map
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import blur_map_layer
 
 SIDE = 120
 TURNED = {"scale": (0.5, 0.5), "rotate": 30, "translate": (7, -3), "units": ("um", "um")}

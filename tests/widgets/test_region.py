@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets import layers
-from napari_defocus.widgets.analysis import Analysis
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
-from napari_defocus.widgets.map_source import EstimatedSource, source_of_layer
-from napari_defocus.widgets.region import plane_in, region_of
-from napari_defocus.widgets.results import METADATA_KEY
-from napari_defocus.widgets.seeds import add_seeds_layer, shown_seeds
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.jobs.analysis import Analysis
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.map_source import EstimatedSource, source_of_layer
+from napari_defocus.widgets.layers import image_layers as layers
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.layers.region import plane_in, region_of
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
+from napari_defocus.widgets.layers.seeds import add_seeds_layer, shown_seeds
 
 PLACED = {
     "scale": (0.5, 0.25),
@@ -201,7 +201,7 @@ def test_another_shape_of_the_same_size_estimates_again_the_same_shape_does_not(
 
 
 def test_map_that_is_estimated_for_a_part_has_no_say_outside_of_the_shapes(viewer, picture, method):
-    from napari_defocus.widgets.estimation import Picture
+    from napari_defocus.widgets.jobs.estimation import Picture
 
     shapes = viewer.add_shapes([DIAMOND], shape_type="polygon", **PLACED)
     part = part_of(viewer, picture, shapes)

@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.region_table import add_regions
-from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer, in_focus_layer
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.region_table import add_regions
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import (
+    blur_map_layer,
+    confidence_layer,
+    in_focus_layer,
+)
 
 
 def squares(shape):

@@ -5,12 +5,12 @@ import weakref
 import numpy as np
 import pytest
 
-from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.relief import hide_relief, show_relief
-from napari_defocus.widgets.result_layers import blur_map_layer, confidence_layer
-from napari_defocus.widgets.results import METADATA_KEY
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.relief import hide_relief, show_relief
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import blur_map_layer, confidence_layer
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 PLACED = {
     "scale": (0.5, 0.25),

@@ -4,14 +4,14 @@ import pytest
 from napari.layers import Image
 
 from napari_defocus import Disc
-from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
-from napari_defocus.widgets.analysis import Analysis
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
-from napari_defocus.widgets.map_source import EstimatedSource, source_of_layer
-from napari_defocus.widgets.restored import Refocusing, Restoration
-from napari_defocus.widgets.results import METADATA_KEY
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.core.settings import MapSettings, RefocusSettings, RestorationSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.jobs.analysis import Analysis
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.map_source import EstimatedSource, source_of_layer
+from napari_defocus.widgets.jobs.restoration import Refocusing, Restoration
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 PLACED = {
     "scale": (0.5, 0.25),

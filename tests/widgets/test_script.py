@@ -17,23 +17,23 @@ from PIL import Image
 
 import napari_defocus
 from napari_defocus import Annulus, MeasuredPSF, ThinLens
-from napari_defocus.settings import (
+from napari_defocus.core.settings import (
     MapSettings,
     MaskSettings,
     RefocusSettings,
     RestorationSettings,
 )
-from napari_defocus.widgets.analysis import Analysis
-from napari_defocus.widgets.distances import Distances
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import plane_at
-from napari_defocus.widgets.map_source import EstimatedSource, LayerSource
-from napari_defocus.widgets.restored import Refocusing, Restoration
-from napari_defocus.widgets.results import METADATA_KEY
-from napari_defocus.widgets.samples import dandelion, simulated_ramp
-from napari_defocus.widgets.script import script_of
-from napari_defocus.widgets.script_text import text_literal
-from napari_defocus.widgets.seeds import Seeds
+from napari_defocus.widgets.export.script import script_of
+from napari_defocus.widgets.export.script_text import text_literal
+from napari_defocus.widgets.jobs.analysis import Analysis
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.distances import Distances
+from napari_defocus.widgets.jobs.map_source import EstimatedSource, LayerSource
+from napari_defocus.widgets.jobs.restoration import Refocusing, Restoration
+from napari_defocus.widgets.layers.image_layers import plane_at
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
+from napari_defocus.widgets.layers.samples import dandelion, simulated_ramp
+from napari_defocus.widgets.layers.seeds import Seeds
 
 ALL = (slice(None), slice(None))
 VARIABLE_OF = {
@@ -290,7 +290,7 @@ def test_file_that_does_not_hold_the_picture_is_refused(tmp_path):
 
 
 def test_scripts_and_preferences_need_no_qt():
-    modules = "napari_defocus.widgets.script, napari_defocus.widgets.preferences"
+    modules = "napari_defocus.widgets.export.script, napari_defocus.widgets.layers.preferences"
     code = f"import sys, {modules}; print(*{{'qtpy.QtWidgets', 'PySide6'}} & set(sys.modules))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == []

@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_defocus.widgets.layers import shown_plane
-from napari_defocus.widgets.result_layers import MASK_COLOR
-from napari_defocus.widgets.results import made_by_us
-from napari_defocus.widgets.seeds import SEEDS, add_seeds_layer, shown_seeds
+from napari_defocus.widgets.layers.image_layers import shown_plane
+from napari_defocus.widgets.layers.result_layers import MASK_COLOR
+from napari_defocus.widgets.layers.result_metadata import made_by_us
+from napari_defocus.widgets.layers.seeds import SEEDS, add_seeds_layer, shown_seeds
 
 PLACED = {
     "scale": (0.5, 0.25),

@@ -6,14 +6,14 @@ import pytest
 from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
-from napari_defocus.settings import MapSettings
-from napari_defocus.widgets import best_focus
-from napari_defocus.widgets.best_focus import BestFocus
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
-from napari_defocus.widgets.results import METADATA_KEY
-from napari_defocus.widgets.sharpest_plane import SharpestPlaneWidget
-from napari_defocus.widgets.showing import show_results
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
+from napari_defocus.widgets.jobs import focus_stacking as best_focus
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.focus_stacking import BestFocus
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 FOCUS = np.broadcast_to(np.linspace(1, 5, 140), (90, 140))
 

@@ -8,16 +8,16 @@ from napari.layers import Labels
 
 import napari_defocus
 from napari_defocus import Cancelled, simulate_defocus
-from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.analysis import Analysis
-from napari_defocus.widgets.kept import KeptWork
-from napari_defocus.widgets.layers import NotAnalysableError, shown_plane
-from napari_defocus.widgets.map_source import source_of_layer
-from napari_defocus.widgets.region import plane_in, region_of
-from napari_defocus.widgets.results import METADATA_KEY, PLANES
-from napari_defocus.widgets.seeds import add_seeds_layer
-from napari_defocus.widgets.showing import show_results
-from napari_defocus.widgets.stack_analysis import StackAnalysis
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.jobs.analysis import Analysis
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.map_source import source_of_layer
+from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
+from napari_defocus.widgets.layers.region import plane_in, region_of
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, PLANES
+from napari_defocus.widgets.layers.seeds import add_seeds_layer
 
 PLACED = {"scale": (5, 0.5, 0.25), "translate": (10, 1, 2), "rotate": (0, 0, 20)}
 CUBE = list(np.ndindex(2, 2, 2))

@@ -5,7 +5,7 @@ import PIL.Image
 import pytest
 
 from napari_defocus import ThinLens
-from napari_defocus.widgets.thin_lens_form import ThinLensForm
+from napari_defocus.widgets.forms.thin_lens_form import ThinLensForm
 
 pytestmark = pytest.mark.display
 

@@ -10,9 +10,9 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication, QScrollArea
 
 import napari_defocus
-from napari_defocus.widgets.defocus import DefocusWidget
-from napari_defocus.widgets.probe import ProbeWidget
-from napari_defocus.widgets.tabs import become_a_tab
+from napari_defocus.widgets.docks.defocus import DefocusWidget
+from napari_defocus.widgets.docks.probe import ProbeWidget
+from napari_defocus.widgets.forms.tabs import become_a_tab
 
 pytestmark = pytest.mark.display
 

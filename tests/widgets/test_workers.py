@@ -2,8 +2,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from napari_defocus.widgets import workers
-from napari_defocus.widgets.workers import Run
+from napari_defocus.widgets.forms import workers
+from napari_defocus.widgets.forms.workers import Run
 
 pytestmark = pytest.mark.display
 

@@ -1,9 +1,9 @@
 """From pixels to candidates."""
 
 from napari_defocus import Disc, estimate_candidates, estimate_noise_variance
-from napari_defocus.gabor import gradients, local_power, window_centers
-from napari_defocus.image import prepare_image
-from napari_defocus.spectrum import spectrum_table
+from napari_defocus.core.image import prepare_image
+from napari_defocus.likelihood.blur_spectra import spectrum_table
+from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
 
 from .pictures import NOISE, SIDES, blurred, ready
 

@@ -7,7 +7,7 @@ import numpy as np
 from skimage.data import astronaut
 
 from napari_defocus import BlurCandidates, estimate_candidates, label_blur_map, simulate_defocus
-from napari_defocus.scene import Scene
+from napari_defocus.labeling.problem import Scene
 
 SIDES = (256, 512, 1024)
 NOISE = 1e-5

@@ -16,9 +16,9 @@ from matplotlib import pyplot as plt
 from skimage.data import astronaut
 
 from napari_defocus import Disc, simulate_defocus
-from napari_defocus.gabor import gradients, local_power
-from napari_defocus.likelihood import noise_power
-from napari_defocus.spectrum import label_scales, spectrum_table
+from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
+from napari_defocus.likelihood.gabor import gradients, local_power
+from napari_defocus.likelihood.profile_likelihood import noise_power
 
 TRUE_RADIUS, NOISE_VARIANCE = 5.0, 1e-7
 WINDOW, REACH = 41, 20

@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 from skimage.data import astronaut
 
 from napari_defocus import estimate_blur_map, simulate_defocus
-from napari_defocus.image import decode_srgb, encode_srgb
+from napari_defocus.core.image import decode_srgb, encode_srgb
 
 sharp = astronaut().reshape(256, 2, 256, 2, 3).mean(axis=(1, 3)) / 255
 truth = np.broadcast_to(np.linspace(1, 6, 256)[:, None], (256, 256))

@@ -1,0 +1,1 @@
+"""Many pictures and stacks, resumable, on several workers."""

@@ -1,0 +1,461 @@
+"""Many pictures and stacks: maps and a table of them, on any number of workers, resumable."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import napari_defocus
+from napari_defocus.batch.cluster import Job, in_this_process, outcomes
+from napari_defocus.batch.folder import BatchFolder
+from napari_defocus.batch.planes import (
+    BatchPlan,
+    FinishTask,
+    PlaneTask,
+    failed,
+    finish,
+    look_at,
+    measure_plane,
+    reason,
+)
+from napari_defocus.batch.sources import (
+    BatchInput,
+    FileFormat,
+    SourceWork,
+    as_named,
+    begin,
+    compared_inputs,
+    finished_rows,
+    plane_size,
+    unopened,
+)
+from napari_defocus.batch.table import FAILED, Row, in_csv, in_json_lines
+from napari_defocus.batch.tiled_planes import PartNote, PlaneInParts
+from napari_defocus.core.progress import Cancelled, Progress, duration, silent
+from napari_defocus.core.settings import (
+    BLOCK_SIZE,
+    check_block_size,
+    check_confidence,
+    check_flag,
+    check_threshold,
+)
+from napari_defocus.io.lazy_arrays import need_large_extra
+from napari_defocus.io.open import Source
+from napari_defocus.io.picture_files import PictureFiles, look_for_pictures
+from napari_defocus.io.pictures import NeedsForce, UnwritableResult, write_results
+from napari_defocus.io.settings_file import Settings
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+@dataclass(frozen=True)
+class BatchReport:
+    """What came of a batch.
+
+    Attributes
+    ----------
+    table : Path
+        CSV; the same rows as JSON lines are beside it.
+    planes, failed : int
+        Rows of the table, and those of them that could not be measured.
+    left_out : dict of str to int
+        How many files of the folders and patterns were no pictures, by their endings, such as
+        ".txt"; "result" for what this package made, "folder" for folders in a folder.
+    """
+
+    table: Path
+    planes: int
+    failed: int
+    left_out: dict[str, int] = field(default_factory=dict, hash=False)
+
+
+def measure_batch(
+    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    settings: Settings | None = None,
+    confidence: bool = False,
+    mask: bool = False,
+    restore: bool = False,
+    min_confidence: float = 0.0,
+    intensity_range: tuple[float, float] | None = None,
+    file_format: FileFormat = "auto",
+    block_size: int = BLOCK_SIZE,
+    force: bool = False,
+    client: Client | None = None,
+    progress: Progress = silent,
+) -> BatchReport:
+    """Measure many pictures and stacks: a blur map of each plane, and a table with a row a plane.
+
+    It can be ended at any moment, killed too, and called again: what is finished is not done
+    again, and the results are those of an undisturbed run, byte for byte, on however many
+    workers. A picture that cannot be read or measured is a row that says why, and is tried again
+    the next time.
+
+    Parameters
+    ----------
+    inputs : path-like, or iterable of path-like
+        Files, folders and patterns, as `napari_defocus.io.open.find_sources` takes them:
+        photographs, TIFF, slides and OME-Zarr, with one plane or many. Maps and the like that
+        this package made are left out, whatever they are called.
+    output : path-like
+        A folder; it is made if its parent is there. It gets `table.csv` and `table.jsonl`, whose
+        rows are in the order of the inputs; a folder `maps`; and, hidden, notes of what is
+        finished.
+    settings : Settings, optional
+        All but `refocus` is used; the threshold of masks says what is in focus in the table, too.
+    confidence, mask, restore : bool, optional
+        Whether to write, beside each map, its confidence, the in-focus mask, and the picture all
+        in focus.
+    min_confidence : float, optional
+        Maps are NaN where the confidence is lower; the table still counts all pixels.
+    intensity_range : (float, float), optional
+        The intensities that mean black and white, of all pictures.
+    file_format : {"auto", "tiff", "ome-zarr"}, optional
+        Of maps and the like: "auto" is TIFF (and PNG, for masks and restored pictures) for
+        single pictures of up to 64 megapixels, and OME-Zarr for others.
+    block_size : int, optional
+        Side, in px, of the parts in which planes of more than 4 megapixels are worked on; their
+        maps are those of the whole plane to 0.02 px. Smaller ones are measured as one.
+    force : bool, optional
+        Whether pictures that have changed, or were measured with other settings, are measured
+        again. They are an error without.
+    client : distributed.Client, optional
+        Whose workers do the work, such as one of `napari_defocus.batch.cluster.dask_client`. They
+        have to find inputs and output under the same paths. Without, the work is done in this
+        process, plane after plane.
+    progress : callable, optional
+        Called with a step's name, which says how much time is left, and the share that is done.
+
+    Returns
+    -------
+    BatchReport
+
+    Raises
+    ------
+    UnreadablePicture
+        If an input names nothing, or a map, a mask or a drawing of this package.
+    UnwritableResult
+        If the output cannot be written, holds what no batch made, or a batch that was made with
+        other settings or of other pictures, and `force` is not set; if a result is an input, or
+        another batch is at work in the folder.
+    ValueError
+        If a setting is beyond its range.
+    ConnectionError
+        If a worker has no access to the output, has another version, or the scheduler is gone.
+    ImportError
+        If the extra "large" is not installed.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, numpy as np, PIL.Image
+    >>> from skimage.data import camera
+    >>> from napari_defocus import measure_batch
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name, top in (("sky", 0), ("grass", 400)):
+    ...         picture = PIL.Image.fromarray(camera()[top : top + 96, :96])
+    ...         picture.save(pathlib.Path(folder, f"{name}.png"))
+    ...     report = measure_batch(folder, pathlib.Path(folder, "measured"))
+    ...     rows = report.table.read_text().splitlines()
+    >>> report.planes, report.failed, [row.split(",")[2] for row in rows]
+    (2, 0, ['status', 'done', 'done'])
+    """
+    need_large_extra()
+    flags = {"confidence": confidence, "mask": mask, "restore": restore, "force": force}
+    for name, value in flags.items():
+        check_flag(name, value)
+    asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
+    plan = _checked(
+        BatchPlan(
+            settings=settings or Settings(),
+            kinds=tuple(kind for kind, is_asked in asked.items() if is_asked),
+            min_confidence=min_confidence,
+            intensity_range=intensity_range,
+            block_size=block_size,
+        )
+    )
+    if not isinstance(file_format, str) or file_format not in get_args(FileFormat):
+        raise ValueError(f"file_format is {file_format!r}; it takes one of {get_args(FileFormat)}")
+    if not isinstance(output, str | os.PathLike):
+        raise TypeError(f"output is {type(output).__name__}; it takes the path of a folder")
+    folder = BatchFolder(Path(output).absolute())
+    looked = _sources(inputs, folder)
+    made_with = json.loads(json.dumps(plan.facts() | {"file_format": file_format}))
+    found = compared_inputs(looked.pictures, folder, made_with)
+    if not force:
+        _refuse_changed(found, folder)
+    batch = _Batch(folder, plan, file_format, found, looked.left_out, _Counter(progress))
+    lending = nullcontext(client) if client is not None else in_this_process()
+    with folder.begun(made_with, force=force), lending as lent:
+        try:
+            _check_workers(lent, folder)
+            batch.run(lent)
+        except (KeyboardInterrupt, Cancelled):
+            batch.write_tables()
+            raise
+        return batch.write_tables()
+
+
+# Before the work.
+
+
+def _checked(plan: BatchPlan) -> BatchPlan:
+    """Refuse what cannot be; name a lens so that workers in other folders find it."""
+    settings = plan.settings
+    check_confidence("min_confidence", plan.min_confidence)
+    check_threshold(settings.mask.threshold, settings.map.family().max_scale)
+    check_block_size(plan.block_size)
+    if settings.map.psf.lower().endswith(".npz"):
+        lens = str(Path(settings.map.psf).absolute())
+        settings = replace(settings, map=replace(settings.map, psf=lens))
+    return replace(plan, settings=settings)
+
+
+def _sources(
+    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str], folder: BatchFolder
+) -> PictureFiles:
+    """Return the sources, without the results of an earlier run that a pattern finds."""
+    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    if not isinstance(given, Iterable):
+        raise TypeError(f"inputs is {type(inputs).__name__}; it takes paths")
+    given = list(given)
+    for one in given:
+        if not isinstance(one, str | os.PathLike):
+            raise TypeError(f"inputs holds a {type(one).__name__}; it takes paths")
+    results = folder.results.resolve()
+    for one in map(Path, given):
+        if results in (one.resolve(), *one.resolve().parents):
+            raise UnwritableResult(f"cannot write {one}: it is a result and an input")
+    looked = look_for_pictures(given, besides=folder.path)
+    pictures = [path for path in looked.pictures if results not in path.resolve().parents]
+    return PictureFiles(pictures, looked.left_out)
+
+
+def _refuse_changed(inputs: list[BatchInput], folder: BatchFolder) -> None:
+    changes = [each.change for each in inputs if each.change]
+    if changes:
+        more = f", and so have {len(changes) - 1} others" if len(changes) > 1 else ""
+        raise NeedsForce(
+            f"cannot go on with {folder.path}: inputs have changed: {changes[0]}{more}",
+            "give another folder, or {force} to measure them again",
+        )
+
+
+def _check_workers(client: Client, folder: BatchFolder) -> None:
+    """Raise ConnectionError if a worker could not take part."""
+    answers = client.run(
+        _objection, str(folder.plan), napari_defocus.__version__, on_error="return"
+    )
+    for worker, objection in sorted(answers.items()):
+        if objection is not None:
+            told = objection if isinstance(objection, str) else reason(objection)
+            raise ConnectionError(f"the dask worker {worker} cannot take part: {told}")
+
+
+def _objection(plan: str, version: str) -> str | None:
+    """Return why this worker cannot take part in a batch, if it cannot."""
+    if version != napari_defocus.__version__:
+        return f"it has napari-defocus {napari_defocus.__version__}, and {version} is at work"
+    path = Path(plan)
+    if not path.is_file():
+        return f"it does not see {path}; workers need inputs and output under the same paths"
+    if not os.access(path.parent, os.W_OK):
+        return f"it may not write into {path.parent.parent}"
+    return None
+
+
+# The work.
+
+
+@dataclass
+class _Counter:
+    """How far a batch is, and for how long it will go on, by px measured since it was started."""
+
+    progress: Progress
+    planes: int = 0
+    planes_done: int = 0
+    px: int = 0
+    px_done: int = 0
+    px_before: int = 0
+    started: float = field(default_factory=time.monotonic)
+
+    def expect(self, planes: int, px: int) -> None:
+        self.planes, self.px = self.planes + planes, self.px + px
+
+    def skip(self, planes: int, px: int) -> None:
+        """Count what an earlier run has finished."""
+        self.px_before += px
+        self.count(planes, px)
+
+    def count(self, planes: int, px: int) -> None:
+        self.planes_done, self.px_done = self.planes_done + planes, self.px_done + px
+
+    def tell(self) -> None:
+        measured, left = self.px_done - self.px_before, self.px - self.px_done
+        text = f"{self.planes_done} of {self.planes} planes"
+        if measured and left:
+            text += f", {duration((time.monotonic() - self.started) * left / measured)} left"
+        self.progress(text, self.px_done / self.px if self.px else 1.0)
+
+
+@dataclass
+class _Batch:
+    """A run over all inputs."""
+
+    folder: BatchFolder
+    plan: BatchPlan
+    file_format: FileFormat
+    inputs: list[BatchInput]
+    left_out: dict[str, int]
+    counter: _Counter
+    rows: dict[str, list[Row]] = field(default_factory=dict)
+    works: dict[str, SourceWork] = field(default_factory=dict)
+    opened: dict[str, Source] = field(default_factory=dict)
+    came_up: deque[Job] = field(default_factory=deque)
+
+    def run(self, client: Client) -> None:
+        """Measure what is not finished."""
+        self._work_off(client, self._openings())
+        self.counter.started = time.monotonic()
+        self.counter.tell()
+        self._work_off(client, self._measurements())
+
+    def write_tables(self) -> BatchReport:
+        """Write the table of all planes that were tried."""
+        for name, work in self.works.items():
+            self.rows[name] = work.rows_in_order()
+        rows = [row for each in self.inputs for row in self.rows.get(each.name, [])]
+        csv, json_lines = self.folder.tables
+        write_results({csv: in_csv(rows), json_lines: in_json_lines(rows)}, force=True)
+        failures = sum(row["status"] == FAILED for row in rows)
+        return BatchReport(csv, len(rows), failures, self.left_out)
+
+    def _work_off(self, client: Client, jobs: Iterator[Job]) -> None:
+        """Do jobs, and those that come of them; what was at work when a worker died, alone."""
+
+        def next_job() -> Job | None:
+            return self.came_up.popleft() if self.came_up else next(jobs, None)
+
+        suspects = []
+        for job, result in outcomes(client, next_job):
+            if isinstance(result, BaseException) and not job.divided:
+                suspects.append(job)
+            else:
+                job.done(result)
+        jobs = iter(suspects)
+        for job, result in outcomes(client, next_job, at_a_time=1):
+            job.done(result)
+
+    def _openings(self) -> Iterator[Job]:
+        """Yield the jobs that open what is not finished."""
+        for each in self.inputs:
+            rows = finished_rows(each, self.folder, self.plan)
+            if rows is None:
+                yield Job.call(look_at, each.given.absolute(), partial(self._keep, each))
+                continue
+            self.rows[each.name] = rows
+            px = sum(row["width"] * row["height"] for row in rows)
+            self.counter.expect(len(rows), px)
+            self.counter.skip(len(rows), px)
+
+    def _keep(self, each: BatchInput, result: Source | str | BaseException) -> None:
+        if isinstance(result, Source):
+            self.opened[each.name] = result
+            planes = math.prod(result.plane_shape)
+            self.counter.expect(planes, planes * math.prod(plane_size(result)))
+        else:
+            self.rows[each.name] = [unopened(each, result)]
+        share = len(self.opened | self.rows) / len(self.inputs)
+        self.counter.progress("Opening the inputs", share)
+
+    def _measurements(self) -> Iterator[Job]:
+        """Yield the jobs that measure planes."""
+        for each in self.inputs:
+            if (source := self.opened.pop(each.name, None)) is None:
+                continue
+            # What is wrong with one source, such as axes that a format has not, is its own.
+            try:
+                work = begin(each, source, self.folder, self.plan, self.file_format)
+            except (OSError, TypeError, ValueError) as error:
+                self.rows[each.name] = [unopened(each, error)]
+                continue
+            self.works[each.name] = work
+            self.counter.skip(len(work.rows), len(work.rows) * work.plane_px)
+            yield from self._plane_jobs(work, source)
+
+    def _plane_jobs(self, work: SourceWork, source: Source) -> Iterator[Job]:
+        tasks = work.tasks(source)
+        if not tasks:
+            self._end(work)
+        for task in tasks:
+            if work.in_parts:
+                yield from self._part_jobs(work, task)
+            else:
+                yield Job.call(measure_plane, task, partial(self._note, work, task))
+
+    def _part_jobs(self, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
+        """Yield the job of a large plane, unless that is finished or cannot be done."""
+        try:
+            plane = PlaneInParts(task)
+            parts = plane.graph()
+        except (TypeError, ValueError) as error:
+            self._note(work, task, error)
+            return
+        self.counter.skip(0, sum(note.px for note in plane.notes))
+        if parts:
+            left = iter(reversed(range(sum(map(len, parts)))))
+            yield Job.graph(parts, lambda result: self._note_part(work, plane, next(left), result))
+        else:
+            self._note(work, task, plane.row())
+
+    def _note_part(
+        self, work: SourceWork, plane: PlaneInParts, left: int, result: PartNote | BaseException
+    ) -> None:
+        if isinstance(result, PartNote):
+            plane.notes.append(result)
+            self.counter.count(0, result.px)
+            self.counter.tell()
+        else:
+            plane.error = reason(result)
+        if not left:
+            self._note(work, plane.task, plane.row())
+
+    def _note(self, work: SourceWork, task: PlaneTask, result: Row | BaseException) -> None:
+        row = result if isinstance(result, dict) else failed(task.known, reason(result))
+        work.rows[task.index] = as_named(work.input, row)
+        self.counter.count(1, 0 if work.in_parts else work.plane_px)
+        self.counter.tell()
+        if len(work.rows) == len(work.planes):
+            self._end(work)
+
+    def _end(self, work: SourceWork) -> None:
+        """Make the results of a source whole, now that each of its planes was tried."""
+        targets = work.targets if work.has_stores and work.any_done else ()
+        errors: list[str | BaseException | None] = []
+
+        def ended(error: str | BaseException | None) -> None:
+            errors.append(error)
+            if len(errors) == len(targets):
+                self._ended(work, next((each for each in errors if each is not None), None))
+
+        for target in targets:
+            self.came_up.append(Job.call(finish, FinishTask(target, work.planes), ended))
+        if not targets:
+            self._ended(work, None)
+
+    def _ended(self, work: SourceWork, error: str | BaseException | None) -> None:
+        if error is None:
+            work.end()
+        else:
+            told = error if isinstance(error, str) else reason(error)
+            work.rows = {index: failed(work.known_of(index), told) for index in work.planes}

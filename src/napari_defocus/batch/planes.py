@@ -1,0 +1,418 @@
+"""What a worker of a batch does: opens a source, measures a plane, makes a source's results whole.
+
+A task says in its own result that it failed: what is wrong with one picture stops no other.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import napari_defocus
+from napari_defocus.batch.folder import Facts, read_note, write_note
+from napari_defocus.batch.table import DONE, FAILED, Row, count_pixels
+from napari_defocus.core.intensity import Limits
+from napari_defocus.core.progress import silent
+from napari_defocus.core.settings import BLOCK_SIZE
+from napari_defocus.io.encoders import (
+    blur_map_tiff,
+    confidence_tiff,
+    mask_png,
+    picture_png,
+    with_opacity,
+)
+from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.io.open import Source, open_source
+from napari_defocus.io.pictures import write_results
+from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE
+from napari_defocus.io.settings_file import Settings
+from napari_defocus.pipeline import Measurement, measure_map, used
+
+if TYPE_CHECKING:
+    import dask.array as da
+
+Index = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of result: how its files are named, and what they say of themselves."""
+
+    ending: str
+    suffix: str
+    quantity: str
+    unit: str
+    dtype: Literal["float32", "uint8"]
+
+
+KINDS = {
+    "map": Kind("-blur", ".tif", "defocus blur", "px", "float32"),
+    "confidence": Kind("-confidence", ".tif", "confidence of the blur map", "1", "float32"),
+    "mask": Kind("-mask", ".png", "in-focus mask", "1", "uint8"),
+    "in_focus": Kind("-in-focus", ".png", ALL_IN_FOCUS, "1", "float32"),
+}
+"""Under the names of the table's columns."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchPlan:
+    """What is made of every plane.
+
+    Attributes
+    ----------
+    settings : Settings
+    kinds : tuple of str
+        Of `KINDS`, "map" among them.
+    min_confidence : float
+        Below it, the map is NaN.
+    intensity_range : (float, float) or None
+    block_size : int
+        Side, in px, of the parts of large planes.
+    """
+
+    settings: Settings
+    kinds: tuple[str, ...]
+    min_confidence: float
+    intensity_range: tuple[float, float] | None
+    block_size: int = BLOCK_SIZE
+
+    def facts(self) -> Facts:
+        """Return what shapes the results, as JSON holds it."""
+        settings = asdict(self.settings)
+        shaping = {"map": "map", "mask": "mask", "in_focus": "restoration"}
+        parts = {shaping[kind]: settings[shaping[kind]] for kind in self.kinds if kind in shaping}
+        # Without masks, the table still says what is in focus.
+        parts.setdefault("mask", {"threshold": self.settings.mask.threshold})
+        return {
+            "version": napari_defocus.__version__,
+            "results": ", ".join(self.kinds),
+            **parts,
+            "min_confidence": self.min_confidence,
+            "intensity_range": self.intensity_range and list(self.intensity_range),
+            "block_size": self.block_size,
+        }
+
+    def description(self, kind: str) -> Facts:
+        """Return what a store of a kind says of itself."""
+        scale_name = self.settings.map.family().scale_name
+        about: Facts = {"quantity": KINDS[kind].quantity, "unit": KINDS[kind].unit}
+        if kind == "map":
+            about["quantity"] += f" {scale_name.removesuffix(' (px)')}"
+            about["scale"] = scale_name
+        facts = self.facts()
+        shaping = facts["map"] | {"min_confidence": self.min_confidence}
+        if kind in ("mask", "in_focus"):
+            shaping |= facts["mask" if kind == "mask" else "restoration"]
+            shaping["noise_variance"] = facts["map"]["noise_variance"]
+        shaping |= {name: facts[name] for name in ("intensity_range", "block_size")}
+        version = {"software": SOFTWARE, "version": napari_defocus.__version__}
+        return about | version | {"settings": shaping}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a result goes.
+
+    Attributes
+    ----------
+    kind : str
+    path : Path
+        Of the result when it is whole.
+    store : Path or None
+        A store that planes are written into, one after another: `path` itself, or one that
+        becomes the file at `path` at the end. None if a plane is a file.
+    writer : OmeZarrWriter or None
+        For the store, unless that is whole already.
+    """
+
+    kind: str
+    path: Path
+    store: Path | None = None
+    writer: OmeZarrWriter | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneTask:
+    """A plane to be measured.
+
+    Attributes
+    ----------
+    plane : dask.array.Array
+        (H, W[, 3 or 4]), not yet read.
+    index : tuple of int
+    known : dict
+        What its row says whether it fails or not.
+    results : dict of str to str
+        What its row says of where results are.
+    targets : tuple of Target
+    row_path : Path
+    plan : BatchPlan
+    stack : Path or None
+        The source, if its restored planes share a range that is found from all of them.
+    """
+
+    plane: da.Array
+    index: Index
+    known: Row
+    results: dict[str, str]
+    targets: tuple[Target, ...]
+    row_path: Path
+    plan: BatchPlan
+    stack: Path | None = None
+
+
+@dataclass(frozen=True)
+class FinishTask:
+    """A result of a source, of which every plane was tried."""
+
+    target: Target
+    planes: tuple[Index, ...]
+
+
+def look_at(path: Path) -> Source | str:
+    """Open a source, or say why it cannot be opened."""
+    try:
+        return open_source(path)
+    except Exception as error:
+        return reason(error)
+
+
+def measure_plane(task: PlaneTask) -> Row:
+    """Measure a plane, write its results, note that it is finished, and return its row."""
+    try:
+        picture = np.asarray(task.plane.compute(scheduler="synchronous"))
+        plan = task.plan
+        found = measure_map(picture, plan.settings.map, plan.intensity_range, silent)
+        made = _made_of(found, picture, task)
+        _write(task, made, found, picture)
+        row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan)
+        row |= task.results
+        write_note(task.row_path, row)
+    except Exception as error:
+        return failed(task.known, reason(error))
+    return row
+
+
+def failed(known: Row, error: str) -> Row:
+    """Return the row of a plane that could not be measured."""
+    return known | {"status": FAILED, "error": error}
+
+
+def reason(error: BaseException) -> str:
+    """Return in one line what was wrong."""
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this picture"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _made_of(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> dict[str, NDArray[Any]]:
+    plan = task.plan
+    assert found.candidates is not None
+    assert found.confidence is not None
+    made = {"map": found.trusted(plan.min_confidence), "confidence": found.confidence}
+    if "mask" in plan.kinds:
+        made["mask"] = napari_defocus.segment_in_focus(
+            found.candidates,
+            picture,
+            **asdict(plan.settings.mask),
+            intensity_range=plan.intensity_range,
+        )
+    if "in_focus" in plan.kinds:
+        made["in_focus"] = with_opacity(_restored(found, picture, task), picture)
+    return made
+
+
+def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDArray[Any]:
+    """Take away what is safe to take away, as the command for one picture does."""
+    plan, settings = task.plan, task.plan.settings.restoration
+    common: dict[str, Any] = {
+        "psf": found.psf,
+        "noise_variance": settings.noise_variance,
+        "confidence": found.confidence,
+        "tv_weight": settings.tv_weight,
+        "linearize": plan.settings.map.linearize,
+    }
+    safe = found.cautious(settings.risk)
+    if task.stack is not None:
+        return _restored_in_stack(task, picture, safe, common)
+    if settings.noise_variance is None:
+        common["noise_variance"] = found.noise_variance
+    return napari_defocus.restore_all_in_focus(
+        picture, safe, intensity_range=plan.intensity_range, **common
+    )
+
+
+def _restored_in_stack(
+    task: PlaneTask, picture: NDArray[Any], safe: NDArray[Any], common: Mapping[str, Any]
+) -> NDArray[Any]:
+    """Restore a plane in the range of all planes, so that they do not flicker."""
+    from napari_defocus.core.image import prepare_image, with_unknown
+    from napari_defocus.restoration.all_in_focus import in_shape_of, restored_colors
+
+    prepared = prepare_image(picture, _stack_limits(task), common["linearize"])
+    return with_unknown(in_shape_of(picture, restored_colors(prepared, safe, **common)), picture)
+
+
+def _stack_limits(task: PlaneTask) -> Limits:
+    """Return the limits of all planes: noted by the first worker that needs them."""
+    from napari_defocus.tiled.candidates import limits_of_planes
+
+    assert task.stack is not None
+    path = task.row_path.with_name("limits.json")
+    noted = read_note(path)
+    if noted is not None:
+        return Limits(**noted)
+    source = open_source(task.stack)
+    planes = [source.plane(index) for index in source.planes()]
+    found: Limits = limits_of_planes(planes).compute(scheduler="synchronous")
+    write_note(path, asdict(found))
+    return found
+
+
+def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Row:
+    assert found.confidence is not None
+    counts = count_pixels(
+        found.blur_map,
+        found.confidence,
+        mask,
+        threshold=plan.settings.mask.threshold,
+        max_scale=found.psf.max_scale,
+    )
+    noise = found.noise_variance
+    facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
+    return facts | ({} if found.intensities is None else found.intensities.facts())
+
+
+def _write(
+    task: PlaneTask, made: Mapping[str, NDArray[Any]], found: Measurement, picture: NDArray[Any]
+) -> None:
+    contents = {}
+    for target in task.targets:
+        if target.writer is None:
+            contents[target.path] = _encoded(target.kind, made, found, picture, task.plan)
+        else:
+            target.writer.write_region(_region(target.writer, task.index), made[target.kind])
+    write_results(contents, force=True)
+
+
+def _region(writer: OmeZarrWriter, index: Index) -> tuple[slice | int, ...]:
+    return (*index, *(slice(0, size) for size in writer.shape[len(index) :]))
+
+
+def _encoded(
+    kind: str,
+    made: Mapping[str, NDArray[Any]],
+    found: Measurement,
+    picture: NDArray[Any],
+    plan: BatchPlan,
+) -> bytes:
+    """Return a file of the bytes that the commands for one picture write."""
+    made_with = used(found, plan.settings.map)
+    if kind == "map":
+        made_with |= {"min_confidence": plan.min_confidence}
+        return blur_map_tiff(made[kind], made_with, found.psf.scale_name)
+    if kind == "confidence":
+        return confidence_tiff(made[kind], made_with)
+    return mask_png(made[kind]) if kind == "mask" else picture_png(made[kind], picture)
+
+
+def has_plane(target: Target, index: Index) -> bool:
+    """Return whether the result of a plane is there."""
+    if target.store is None:
+        return target.path.exists()
+    # Without a writer, the store is whole.
+    return target.writer is None or target.writer.has_region(_region(target.writer, index))
+
+
+def go_on_from_whole(target: Target) -> None:
+    """Copy what an earlier run made whole into the store that comes into being again."""
+    writer, store = target.writer, target.store
+    if writer is not None and store is not None and store.exists():
+        chunks = Path("0", "c")
+        shutil.copytree(
+            store / chunks,
+            writer.part / chunks,
+            copy_function=_copy_unless_there,
+            dirs_exist_ok=True,
+        )
+
+
+def _copy_unless_there(source: str, target: str) -> None:
+    if not Path(target).exists():
+        # A chunk's file says that it was written: it appears whole.
+        part = Path(f"{target}.partial")
+        shutil.copyfile(source, part)
+        part.replace(target)
+
+
+def finish(task: FinishTask) -> str | None:
+    """Make a result of a source whole; return why that failed, if it did.
+
+    It may have been begun before, and killed anywhere. Planes that could not be measured are
+    NaN; in masks, not in focus.
+    """
+    try:
+        _finish_store(task.target, task.planes)
+    except Exception as error:
+        return reason(error)
+    return None
+
+
+def _finish_store(target: Target, planes: tuple[Index, ...]) -> None:
+    writer = target.writer
+    if writer is not None and writer.part.exists():
+        for index in planes:
+            _fill(writer, index)
+        writer.finish()
+    store = target.store
+    if store is not None:
+        # Killed at its very end, an earlier run may have left what it replaced.
+        shutil.rmtree(store.with_name(f".{store.name}.old"), ignore_errors=True)
+    if store is not None and store != target.path and store.exists():
+        _convert(store, target.path)
+
+
+def _fill(writer: OmeZarrWriter, index: Index) -> None:
+    """Write NaN, or 0 into masks, where a plane was not written."""
+    height, width, *colors = writer.shape[len(index) :]
+    nothing = np.nan if writer.dtype == "float32" else 0
+    for top, left in product(range(0, height, writer.tile), range(0, width, writer.tile)):
+        tile = (
+            slice(top, min(top + writer.tile, height)),
+            slice(left, min(left + writer.tile, width)),
+            *(slice(0, count) for count in colors),
+        )
+        if not writer.has_region((*index, *tile)):
+            shape = [part.stop - part.start for part in tile]
+            writer.write_region((*index, *tile), np.full(shape, nothing, writer.dtype))
+
+
+def _convert(store: Path, path: Path) -> None:
+    """Write a store as a TIFF."""
+    from napari_defocus.io.ome_zarr import read_ome_zarr
+    from napari_defocus.io.tiff_writer import write_pyramidal_tiff
+
+    attributes, source = read_ome_zarr(store).attributes, open_source(store)
+    write_pyramidal_tiff(
+        path,
+        source.data,
+        axes=source.axes,
+        scale=source.scale,
+        units=source.units,
+        description=attributes,
+        labels=source.data.dtype == np.uint8,
+        force=True,
+    )
+
+
+def discard(target: Target) -> None:
+    """Remove what was begun of a result that will not be whole."""
+    if target.writer is not None:
+        shutil.rmtree(target.writer.part, ignore_errors=True)

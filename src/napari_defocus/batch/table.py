@@ -1,0 +1,193 @@
+"""The table of a batch: a row a plane, from counts of its pixels, as CSV and as JSON lines."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.core.settings import CONFIDENT
+
+Row = dict[str, Any]
+
+RADIUS_STEP = 0.01
+"""px; percentiles of radii are known to half of it."""
+
+CONFIDENCE_STEP = 0.001
+
+PERCENTILES = (5, 25, 50, 75, 95)
+
+DONE, FAILED = "done", "failed"
+
+_RADII = {
+    percent: "median_radius_px" if percent == 50 else f"p{percent}_radius_px"
+    for percent in PERCENTILES
+}
+RESULTS = ("map", "confidence", "mask", "in_focus")
+"""Columns that say where results are; empty for those that were not asked for."""
+
+COLUMNS = (
+    *("source", "plane", "status", "error", "width", "height"),
+    *_RADII.values(),
+    *("share_in_focus", "median_confidence", "share_sure", "noise_variance"),
+    *("intensity_low", "intensity_high", "contrast"),
+    *("pixel_width_um", "pixel_height_um"),
+    *RESULTS,
+)
+
+_UM = {"angstrom": 1e-4, "nanometer": 1e-3, "micrometer": 1.0, "millimeter": 1e3}
+_UM |= {"centimeter": 1e4, "inch": 25_400.0, "meter": 1e6}
+
+
+@dataclass(frozen=True, eq=False)
+class PixelCounts:
+    """How many pixels have which radius and which confidence; those of parts can be added.
+
+    Attributes
+    ----------
+    radii : (N,) int64 ndarray
+        Of radii of 0, 0.01, 0.02 px, ..., each rounded to the nearest.
+    confidences : (1001,) int64 ndarray
+        Of confidences of 0, 0.001, ..., 1.
+    in_focus, sure : int
+        Pixels that are in focus, and those whose confidence is 0.5 or more.
+    """
+
+    radii: NDArray[np.int64]
+    confidences: NDArray[np.int64]
+    in_focus: int
+    sure: int
+
+    def __add__(self, other: PixelCounts) -> PixelCounts:
+        """Return the counts of both parts."""
+        return PixelCounts(
+            self.radii + other.radii,
+            self.confidences + other.confidences,
+            self.in_focus + other.in_focus,
+            self.sure + other.sure,
+        )
+
+    @classmethod
+    def none(cls) -> PixelCounts:
+        """Return the counts of no pixels: what can be added to any."""
+        zero = np.zeros(1, np.int64)
+        return cls(zero, zero, 0, 0)
+
+    def note(self) -> dict[str, Any]:
+        """Return the counts as JSON holds them."""
+        return {
+            "radii": self.radii.tolist(),
+            "confidences": self.confidences.tolist(),
+            "in_focus": self.in_focus,
+            "sure": self.sure,
+        }
+
+    @classmethod
+    def of_note(cls, note: Mapping[str, Any]) -> PixelCounts:
+        """Return the counts of a `note`."""
+        radii, confidences = (np.array(note[key], np.int64) for key in ("radii", "confidences"))
+        return cls(radii, confidences, note["in_focus"], note["sure"])
+
+    def facts(self) -> Row:
+        """Return what a row says of them; None where no pixel counts."""
+        count = int(self.radii.sum())
+        radii = {
+            name: _percentile(self.radii, percent, RADIUS_STEP) for percent, name in _RADII.items()
+        }
+        return {
+            **radii,
+            "share_in_focus": self.in_focus / count if count else None,
+            "median_confidence": _percentile(self.confidences, 50, CONFIDENCE_STEP),
+            "share_sure": self.sure / count if count else None,
+        }
+
+
+def count_pixels(
+    blur_map: NDArray[Any],
+    confidence: NDArray[Any],
+    mask: NDArray[Any] | None,
+    *,
+    threshold: float,
+    max_scale: float,
+) -> PixelCounts:
+    """Count the pixels of a map, or of a part of it.
+
+    Parameters
+    ----------
+    blur_map : (H, W) ndarray
+        In px. What is not finite does not count.
+    confidence : (H, W) ndarray
+        Where it is 0, such as where a picture is transparent, pixels do not count.
+    mask : (H, W) ndarray or None
+        Not 0 in focus; None counts radii up to `threshold` as in focus.
+    threshold, max_scale : float
+        In px; no radius is above `max_scale`.
+
+    Examples
+    --------
+    >>> counts = count_pixels(
+    ...     np.array([[1.0, 4.0]]), np.array([[0.9, 0.4]]), None, threshold=2.0, max_scale=8.0)
+    >>> counts.facts()["share_in_focus"], (counts + counts).facts()["p95_radius_px"]
+    (0.5, 4.0)
+    """
+    counting = np.isfinite(blur_map) & (confidence > 0)
+    radius, sure = blur_map[counting], confidence[counting]
+    focused = radius <= threshold if mask is None else mask[counting] != 0
+    bins = math.ceil(max_scale / RADIUS_STEP) + 1
+    return PixelCounts(
+        _histogram(radius, RADIUS_STEP, bins),
+        _histogram(sure, CONFIDENCE_STEP, round(1 / CONFIDENCE_STEP) + 1),
+        int(focused.sum()),
+        int((sure >= CONFIDENT).sum()),
+    )
+
+
+def _histogram(values: NDArray[Any], step: float, bins: int) -> NDArray[np.int64]:
+    nearest = np.rint(values.astype(np.float64) / step).astype(np.int64)
+    return np.bincount(np.clip(nearest, 0, bins - 1), minlength=bins).astype(np.int64)
+
+
+def _percentile(counts: NDArray[np.int64], percent: float, step: float) -> float | None:
+    """Return the smallest value that so many percent of the pixels do not exceed."""
+    total = counts.cumsum()
+    if not total[-1]:
+        return None
+    return step * int(np.searchsorted(total, percent / 100 * total[-1]))
+
+
+def source_facts(source: str, scale: Mapping[str, float], units: Mapping[str, str]) -> Row:
+    """Return what a row says of where its picture is from."""
+    sizes = {
+        name: scale[axis] * _UM[units[axis]]
+        for axis, name in (("x", "pixel_width_um"), ("y", "pixel_height_um"))
+        if axis in scale and units.get(axis) in _UM
+    }
+    return {"source": source, **sizes}
+
+
+def in_csv(rows: Iterable[Row]) -> bytes:
+    """Return rows as a CSV file of all `COLUMNS`; what is not known is empty."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(COLUMNS)
+    for row in rows:
+        table.writerow(["" if cell is None else cell for cell in _cells(row)])
+    return text.getvalue().encode()
+
+
+def in_json_lines(rows: Iterable[Row]) -> bytes:
+    """Return rows as JSON objects of all `COLUMNS`, one a line; what is not known is null."""
+    objects = (dict(zip(COLUMNS, _cells(row), strict=True)) for row in rows)
+    return "".join(f"{json.dumps(row, ensure_ascii=False)}\n" for row in objects).encode()
+
+
+def _cells(row: Row) -> list[Any]:
+    known = (row.get(column) for column in COLUMNS)
+    return [float(f"{cell:.6g}") if isinstance(cell, float) else cell for cell in known]

@@ -1,0 +1,206 @@
+"""Planes of a batch that are too large for one task: measured and written part by part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import napari_defocus
+from napari_defocus.batch.folder import read_note, write_note
+from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
+from napari_defocus.batch.table import DONE, PixelCounts, Row, count_pixels
+from napari_defocus.io.ome_zarr_writer import TILE
+
+Region = tuple[slice, slice]
+
+
+class TooLarge(ValueError):
+    """Something is wanted that is not known of planes of this size."""
+
+
+@dataclass(frozen=True)
+class PartNote:
+    """What is noted of a part: that it is finished, and what the plane's row needs of it."""
+
+    px: int
+    counts: PixelCounts
+    noise_variance: float
+    intensities: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class _PartTask:
+    """A part to be written, once it is measured."""
+
+    region: Region
+    index: tuple[int, ...]
+    targets: tuple[Target, ...]
+    note: Path
+    plan: BatchPlan
+
+
+class PlaneInParts:
+    """A large plane, of which parts are worked on one by one.
+
+    Parameters
+    ----------
+    task : PlaneTask
+        All of its targets have stores.
+
+    Raises
+    ------
+    TooLarge
+        If something is wanted that is not made of parts.
+    """
+
+    def __init__(self, task: PlaneTask) -> None:
+        plan = task.plan
+        if plan.settings.map.shot_noise:
+            raise TooLarge("how noise grows with the intensity is not found in so many pixels")
+        self.task, self._plane = task, task.plane
+        self.error: str | None = None
+        self._parts = [
+            self._part(region) for region in _regions(task.plane.shape[:2], plan.block_size)
+        ]
+        known = [(part, _finished(part)) for part in self._parts]
+        self._left = [part for part, note in known if note is None]
+        self.notes = [note for _, note in known if note is not None]
+
+    def graph(self) -> list[list[Any]]:
+        """Return rows of delayed tasks, one for each part that is not finished."""
+        from dask import delayed
+
+        from napari_defocus.tiled.tile_graph import cut_together
+
+        if not self._left:
+            return []
+        found, noise = self._measured()
+        write = delayed(_write, pure=False)
+        pieces = iter(cut_together(found, [part.region for part in self._left]))
+        return [
+            [write(part, noise, next(pieces)) for part in row]
+            for _, row in groupby(self._left, key=lambda part: part.region[0].start)
+        ]
+
+    def row(self) -> Row:
+        """Return the plane's row, now that every part was tried; note it if all are finished."""
+        known = self.task.known
+        if self.error is not None:
+            return failed(known, self.error)
+        counts = sum((note.counts for note in self.notes), PixelCounts.none())
+        first = self.notes[0]
+        noise = {"noise_variance": first.noise_variance} | dict(first.intensities)
+        row = known | {"status": DONE} | counts.facts() | noise
+        row |= self.task.results
+        write_note(self.task.row_path, row)
+        for part in self._parts:
+            part.note.unlink(missing_ok=True)
+        return row
+
+    def _part(self, region: Region) -> _PartTask:
+        task, (rows, columns) = self.task, region
+        name = f"{task.row_path.stem}-at-{rows.start}-{columns.start}.json"
+        note = task.row_path.with_name(name)
+        return _PartTask(region, task.index, task.targets, note, task.plan)
+
+    def _measured(self) -> tuple[dict[str, Any], Any]:
+        """Return dask arrays of all that is wanted, and the noise, delayed."""
+        from napari_defocus.tiled.tile_tasks import Wanted
+
+        plan, plane = self.task.plan, self._plane
+        settings = plan.settings.map
+        given: dict[str, Any] = {
+            "intensity_range": plan.intensity_range,
+            "linearize": settings.linearize,
+            "block_size": plan.block_size,
+        }
+        lazy: Any = napari_defocus.estimate_candidates(
+            plane,
+            psf=settings.family(),
+            noise_variance=settings.noise_variance,
+            window=settings.window,
+            stride=settings.stride,
+            mode=settings.mode,
+            **given,
+        )
+        restoration = plan.settings.restoration if "in_focus" in plan.kinds else None
+        asked = Wanted(
+            map_weights=(settings.smoothness, settings.color_sigma),
+            confidence=True,
+            risk=None if restoration is None else restoration.risk,
+            mask=plan.settings.mask if "mask" in plan.kinds else None,
+        )
+        found = lazy.measure(asked)
+        if restoration is not None:
+            noise = restoration.noise_variance
+            found["in_focus"] = napari_defocus.restore_all_in_focus(
+                plane,
+                found.pop("cautious"),
+                psf=settings.family(),
+                noise_variance=settings.noise_variance if noise is None else noise,
+                confidence=found["confidence"],
+                tv_weight=restoration.tv_weight,
+                **given,
+            )
+        return found, lazy.noise(())
+
+
+def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:
+    """Yield parts as large as those that are measured, in whole tiles of the stores."""
+    height, width = shape
+    side = TILE * max(1, block_size // TILE)
+    for top in range(0, height, side):
+        for left in range(0, width, side):
+            yield slice(top, min(top + side, height)), slice(left, min(left + side, width))
+
+
+def _px(region: Region) -> int:
+    return math.prod(part.stop - part.start for part in region)
+
+
+def _finished(part: _PartTask) -> PartNote | None:
+    known = read_note(part.note)
+    if known is None or not all(_has(target, part) for target in part.targets):
+        return None
+    counts = PixelCounts.of_note(known["counts"])
+    return PartNote(_px(part.region), counts, known["noise_variance"], known["intensities"])
+
+
+def _has(target: Target, part: _PartTask) -> bool:
+    # Without a writer, the store is whole.
+    return target.writer is None or target.writer.has_region(_place(part, target))
+
+
+def _place(part: _PartTask, target: Target) -> tuple[slice | int, ...]:
+    assert target.writer is not None
+    colors = target.writer.shape[len(part.index) + 2 :]
+    return (*part.index, *part.region, *(slice(0, count) for count in colors))
+
+
+def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartNote:
+    """Write what was found of a part, note that it is finished, and return the note."""
+    plan, confidence = part.plan, found["confidence"]
+    counts = count_pixels(
+        found["blur_map"],
+        confidence,
+        found.get("mask"),
+        threshold=plan.settings.mask.threshold,
+        max_scale=plan.settings.map.family().max_scale,
+    )
+    untrusted = confidence < plan.min_confidence
+    made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
+    for target in part.targets:
+        assert target.writer is not None
+        target.writer.write_region(_place(part, target), made[target.kind])
+    intensities = noise.intensities.facts()
+    note = PartNote(_px(part.region), counts, float(noise.known), intensities)
+    noted = {"noise_variance": note.noise_variance, "intensities": intensities}
+    write_note(part.note, {"counts": counts.note()} | noted)
+    return note

@@ -1,0 +1,1 @@
+"""The terminal command: a file a group of subcommands."""

@@ -1,0 +1,1 @@
+"""Arrays, axes, settings, progress and threads: what every room stands on."""

@@ -1,0 +1,256 @@
+"""The blur of (1) as a linear operator A on pictures, and its adjoint.
+
+Every output pixel gathers with the PSF of its own scale, (A f)[x] = sum_u h_{r(x)}[x - u] f[u];
+the adjoint spreads each with the same weights, (A' y)[u] = sum_x h_{r(x)}[x - u] y[x]. Kernels
+are interpolated linearly between scales 0.05 px apart, in steps of 0.0125 px.
+
+Pixels near the border gather from beyond it: f lives on a *domain* that is larger than the
+picture on all sides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.core.image import given_array
+from napari_defocus.core.threads import in_bands
+from napari_defocus.psf.families import PSFFamily
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+Int32 = NDArray[np.int32]
+
+_KERNEL_STEP = 0.05
+_STEPS_BETWEEN = 4
+
+_LANES = 12
+"""Weights that are worked on at once: of 12 pixels in a row, or of 4 with three channels."""
+
+_LEAST_BAND = 16
+"""Rows that one thread spreads at a time, or as many as a kernel has if that is more."""
+
+
+class BlurOperator:
+    """A, for one map of scales.
+
+    Parameters
+    ----------
+    blur_map : (H, W) float32 ndarray
+        Scale at every pixel, in px, within the family's domain.
+    psf : PSFFamily
+    channels : {1, 3}
+        C, of the pictures that it is applied to.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        H and W.
+    domain : (int, int)
+        Height and width of what it is applied to.
+    inner : tuple of slice
+        Where the picture lies in the domain.
+    """
+
+    def __init__(self, blur_map: Float32, psf: PSFFamily, channels: int) -> None:
+        taps = _LANES // channels
+        first, kernels = _kernels_between(psf, float(blur_map.min()), float(blur_map.max()))
+        kernels = _interpolated(kernels)
+        side = kernels.shape[1]
+        self.shape: tuple[int, int] = (blur_map.shape[0], blur_map.shape[1])
+        width = -(-side // taps) * taps
+        self.domain: tuple[int, int] = (self.shape[0] + side - 1, self.shape[1] + width - 1)
+        reach = side // 2
+        self.inner: tuple[slice, ...] = tuple(slice(reach, reach + length) for length in self.shape)
+        self._channels = channels
+        step = np.float32(_KERNEL_STEP / _STEPS_BETWEEN)
+        self._kernel = np.rint(blur_map / step - first * _STEPS_BETWEEN).astype(np.int32)
+        self._blocks, self._frames = _in_blocks(kernels, taps, width, channels)
+
+    def extend(self, picture: Float32) -> Float32:
+        """Mirror a picture, (H, W, C), at its border to fill the domain."""
+        margins = [
+            (at.start, whole - at.stop) for at, whole in zip(self.inner, self.domain, strict=True)
+        ]
+        return np.pad(picture, (*margins, (0, 0)), mode="symmetric")
+
+    def apply(self, picture: Float32) -> Float32:
+        """Return A f, (H, W, C), of f on the domain."""
+        blurred = np.empty((*self.shape, self._channels), np.float32)
+        kernels = self._kernel, self._blocks, self._frames
+        in_bands(_gather, self.shape[0], _rows(picture), *kernels, _rows(blurred))
+        return blurred
+
+    def adjoint(self, picture: Float32) -> Float32:
+        """Return A' y on the domain, of y, (H, W, C)."""
+        spread = np.zeros((*self.domain, self._channels), np.float32)
+        arguments = (
+            _rows(np.ascontiguousarray(picture)), self._kernel, self._blocks, self._frames,
+            _rows(spread),
+        )  # fmt: skip
+        # Bands of rows that write to no common row, every second one, at once.
+        height = max(self._blocks.shape[2], _LEAST_BAND)
+        bands = -(-self.shape[0] // height)
+        for parity in range(2):
+            in_bands(_spread, (bands + 1 - parity) // 2, parity, height, *arguments)
+        return spread
+
+
+def half_variance_slope(psf: PSFFamily, blur_map: Float32) -> Float32:
+    """Return half the growth of the kernels' variance with the scale, in px, at each scale.
+
+    As the heat equation has it, a small change of the scale changes a picture g by about this
+    times its Laplacian: for a disc, r / 4.
+    """
+    first, kernels = _kernels_between(psf, float(blur_map.min()), float(blur_map.max()))
+    side = kernels.shape[1]
+    offset = np.arange(side) - side // 2
+    square = (offset**2 + offset[:, None] ** 2) / 2
+    variance = np.sum(kernels * square, axis=(1, 2))
+    slope = np.maximum(np.gradient(variance, _KERNEL_STEP), 0) / 2
+    position = blur_map / _KERNEL_STEP - first
+    return np.interp(position, np.arange(len(slope)), slope).astype(np.float32)
+
+
+def checked_scales(blur_map: ArrayLike, shape: tuple[int, int], psf: PSFFamily) -> Float32:
+    """Check a map of scales against a picture's height and width, and a family's domain."""
+    scales = given_array("blur_map", blur_map)
+    if scales.shape != shape:
+        raise ValueError(f"blur_map has shape {scales.shape}; it takes the picture's, {shape}")
+    if scales.dtype.kind not in "uif":
+        raise TypeError(f"blur_map has dtype {scales.dtype}; it takes real numbers")
+    if not (np.isfinite(scales).all() and scales.min() >= 0 and scales.max() <= psf.max_scale):
+        raise ValueError(
+            f"blur_map has scales from {scales.min()} to {scales.max()} px; "
+            f"{psf!r} takes 0 to {psf.max_scale} px"
+        )
+    return scales.astype(np.float32, order="C")
+
+
+def _rows(picture: Float32) -> Float32:
+    return picture.reshape(picture.shape[0], -1)
+
+
+def _kernels_between(psf: PSFFamily, low: float, high: float) -> tuple[int, Float64]:
+    """Return kernels in one frame, (K, S, S), and the number of the first of them.
+
+    Number k has the scale 0.05 k px; they reach past both ends.
+    """
+    first, last = int(low / _KERNEL_STEP), int(high / _KERNEL_STEP) + 2
+    kernels = [psf.kernel(_KERNEL_STEP * k) for k in range(first, last + 1)]
+    side = max(len(kernel) for kernel in kernels)
+    frames = np.zeros((len(kernels), side, side))
+    for frame, kernel in zip(frames, kernels, strict=True):
+        edge = (side - len(kernel)) // 2
+        frame[edge : edge + len(kernel), edge : edge + len(kernel)] = kernel
+    return first, frames
+
+
+def _interpolated(kernels: Float64) -> Float64:
+    """Put kernels between neighbouring ones."""
+    place = np.arange((len(kernels) - 1) * _STEPS_BETWEEN) / _STEPS_BETWEEN
+    near = place.astype(np.intp)
+    share = (place - near)[:, None, None]
+    return (1 - share) * kernels[near] + share * kernels[near + 1]
+
+
+def _in_blocks(kernels: Float64, taps: int, width: int, channels: int) -> tuple[Float32, Int32]:
+    """Lay out kernels for `_gather` and `_spread`.
+
+    Returns
+    -------
+    blocks : (K, B, S, taps * channels) float32 ndarray
+        Columns of each kernel in blocks from its first one that is not empty, each weight
+        repeated for all channels. A PSF is turned by half a turn when it gathers instead of
+        spreading.
+    frames : (K, 4) int32 ndarray
+        The first row, the row after the last, the first column and the number of blocks.
+    """
+    turned = kernels[:, ::-1, ::-1]
+    side = kernels.shape[1]
+    blocks = np.zeros((len(kernels), width // taps, side, taps * channels), np.float32)
+    frames = np.zeros((len(kernels), 4), np.int32)
+    for kernel, block, frame in zip(turned, blocks, frames, strict=True):
+        rows, columns = (np.flatnonzero(kernel.any(axis=axis)) for axis in (1, 0))
+        used = -(-(columns[-1] + 1 - columns[0]) // taps)
+        left = min(columns[0], width - used * taps)
+        seen = np.zeros((side, used * taps))
+        seen[:, : side - left] = kernel[:, left : left + used * taps]
+        by_block = seen.reshape(side, used, taps).swapaxes(0, 1)
+        block[:used] = by_block.repeat(channels, axis=2)
+        frame[:] = rows[0], rows[-1] + 1, left, used
+    return blocks, frames
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _gather(
+    start: int,
+    stop: int,
+    domain: Float32,
+    kernel: Int32,
+    blocks: Float32,
+    frames: Int32,
+    blurred: Float32,
+) -> None:
+    width = kernel.shape[1]
+    channels = blurred.shape[1] // width
+    taps = _LANES // channels
+    total = np.empty(_LANES, np.float32)
+    for row in range(start, stop):
+        for column in range(width):
+            index = kernel[row, column]
+            top, bottom, left, used = frames[index]
+            total[:] = 0
+            for block in range(used):
+                weight = blocks[index, block]
+                at = (column + left + block * taps) * channels
+                # Three rows at once: the totals stay in registers for longer.
+                for i in range(top, bottom - 2, 3):
+                    for lane in range(_LANES):
+                        total[lane] += (
+                            weight[i, lane] * domain[row + i, at + lane]
+                            + weight[i + 1, lane] * domain[row + i + 1, at + lane]
+                            + weight[i + 2, lane] * domain[row + i + 2, at + lane]
+                        )
+                for i in range(bottom - (bottom - top) % 3, bottom):
+                    for lane in range(_LANES):
+                        total[lane] += weight[i, lane] * domain[row + i, at + lane]
+            for channel in range(channels):
+                value = np.float32(0)
+                for tap in range(taps):
+                    value += total[tap * channels + channel]
+                blurred[row, column * channels + channel] = value
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _spread(
+    start: int,
+    stop: int,
+    parity: int,
+    thick: int,
+    picture: Float32,
+    kernel: Int32,
+    blocks: Float32,
+    frames: Int32,
+    domain: Float32,
+) -> None:
+    height, width = kernel.shape
+    channels = picture.shape[1] // width
+    taps = _LANES // channels
+    value = np.empty(_LANES, np.float32)
+    for pair in range(start, stop):
+        first = (2 * pair + parity) * thick
+        for row in range(first, min(first + thick, height)):
+            for column in range(width):
+                index = kernel[row, column]
+                top, bottom, left, used = frames[index]
+                for tap in range(taps):
+                    for channel in range(channels):
+                        value[tap * channels + channel] = picture[row, column * channels + channel]
+                for block in range(used):
+                    weight = blocks[index, block]
+                    at = (column + left + block * taps) * channels
+                    for i in range(top, bottom):
+                        for lane in range(_LANES):
+                            domain[row + i, at + lane] += weight[i, lane] * value[lane]

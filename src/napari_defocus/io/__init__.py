@@ -1,0 +1,1 @@
+"""Pictures, stacks and settings in and out of files."""

@@ -1,0 +1,414 @@
+"""Results as the bytes of files: values as TIFF that says what made it, drawings as PNG."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+import napari_defocus
+from napari_defocus.core.image import prepare_image, shown_colors
+from napari_defocus.core.settings import MapSettings
+from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE, marked_png, said_by
+from napari_defocus.psf.families import Disc
+
+_BLUR_QUANTITY = "defocus blur"
+_CONFIDENCE_QUANTITY = "confidence of the blur map"
+
+COLOR_MAP = "viridis"
+NOT_TRUSTED_COLOR = (0.35, 0.35, 0.35)
+DEPTH_COLOR_MAP = "magma_r"
+BEYOND_COLOR = (0.6, 0.8, 0.95)
+DEPTH_RANGE = (2, 98)
+"""Percentiles of distances at the ends of the colour bar."""
+
+LEAST_DEPTH_RANGE = 0.01
+"""How far the ends of the colour bar are apart at least, as a share of the nearer one."""
+
+SHOWN_SIDE = (480, 1600)
+"""Shortest and longest length, in px, of the longer side of a map that is drawn."""
+
+DIMMED = 0.35
+OUTLINE_COLOR = (1.0, 0.85, 0.0)
+
+
+def blur_map_tiff(
+    blur_map: ArrayLike,
+    settings: Mapping[str, Any],
+    scale_name: str = Disc.scale_name,
+    *,
+    made: Mapping[str, Any] | None = None,
+    pixel_size: tuple[float, float] | None = None,
+) -> bytes:
+    """Encode the values of a blur map as a TIFF file.
+
+    Parameters
+    ----------
+    blur_map : (..., H, W) array_like
+        Blur scale, in px; NaN where it is not trusted.
+    settings : mapping
+        What made the map; anything that JSON can hold.
+    scale_name : str
+        What the PSF family's scale measures.
+    made : mapping, optional
+        What else is known about it, such as its source and another version that made it.
+    pixel_size : (float, float), optional
+        Height and width of a pixel, in m, for the resolution that other programs show.
+
+    Returns
+    -------
+    bytes
+        A float32 TIFF, deflate-compressed, a page a plane. Its ImageDescription is a JSON object
+        that says the quantity, the unit, the version of this package, the settings, the shape,
+        and what is in `made`.
+    """
+    quantity = f"{_BLUR_QUANTITY} {scale_name.removesuffix(' (px)')}"
+    what = {"quantity": quantity, "unit": "px", "scale": scale_name}
+    return _tiff(blur_map, what, settings, made, pixel_size)
+
+
+def confidence_tiff(
+    confidence: ArrayLike,
+    settings: Mapping[str, Any],
+    *,
+    made: Mapping[str, Any] | None = None,
+    pixel_size: tuple[float, float] | None = None,
+) -> bytes:
+    """Encode a confidence map, (..., H, W) in [0, 1], as a TIFF file like `blur_map_tiff`."""
+    what = {"quantity": _CONFIDENCE_QUANTITY, "unit": "1"}
+    return _tiff(confidence, what, settings, made, pixel_size)
+
+
+def depth_tiff(depth: ArrayLike, settings: Mapping[str, Any]) -> bytes:
+    """Encode distances, (H, W) in m, as a float32 TIFF file like `blur_map_tiff`.
+
+    They are infinite where the blur is more than any distance has, NaN where not trusted.
+    """
+    return _tiff(depth, {"quantity": "distance from the lens", "unit": "m"}, settings)
+
+
+def picture_tiff(picture: ArrayLike, quantity: str, settings: Mapping[str, Any]) -> bytes:
+    """Encode a picture, (H, W[, 3 or 4]) in [0, 1], as a float32 TIFF file like `blur_map_tiff`."""
+    color = np.ndim(picture) == 3
+    return _tiff(picture, {"quantity": quantity, "unit": "1"}, settings, color=color)
+
+
+def picture_png(picture: ArrayLike, source: ArrayLike, quantity: str = ALL_IN_FOCUS) -> bytes:
+    """Encode a picture as a PNG file, with about as many levels as the one it was made from.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        In [0, 1]; what is beyond is clipped, and NaN is transparent.
+    source : array_like
+        The picture that it was made from.
+    quantity : str, optional
+        What the file says it is, see `napari_defocus.io.provenance`.
+
+    Returns
+    -------
+    bytes
+        A PNG file of 8 bits a channel if the source has no more, else of 16.
+    """
+    import imagecodecs
+
+    dtype = np.uint8 if np.asarray(source).dtype.itemsize == 1 else np.uint16
+    shown = _transparent_unknown(np.asarray(picture, np.float32))
+    levels = np.iinfo(dtype).max * np.clip(shown, 0.0, 1.0)
+    return marked_png(bytes(imagecodecs.png_encode(np.rint(levels).astype(dtype))), quantity)
+
+
+def _transparent_unknown(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a picture without NaN, with an opacity of 0 where it had some."""
+    colors = picture[..., :3] if picture.ndim == 3 else picture[..., None]
+    known = ~np.isnan(colors).any(axis=2, keepdims=True)
+    if known.all():
+        return picture
+    opacity = picture[..., 3:] if picture.shape[2:] == (4,) else np.float32(1)
+    return np.concatenate([np.where(known, colors, np.float32(0)), known * opacity], axis=2)
+
+
+def with_opacity(picture: ArrayLike, source: ArrayLike) -> NDArray[np.float32]:
+    """Return a picture, (H, W[, 3]) in [0, 1], with the opacity of another one if it has any."""
+    color, given = np.asarray(picture, np.float32), np.asarray(source)
+    if given.ndim == 2 or given.shape[2] == 3:
+        return color
+    full = np.iinfo(given.dtype).max if given.dtype.kind in "ui" else 1
+    return np.dstack([color[..., :3], given[..., 3] / np.float32(full)])
+
+
+def _tiff(
+    values: ArrayLike,
+    what: Mapping[str, str],
+    settings: Mapping[str, Any],
+    made: Mapping[str, Any] | None = None,
+    pixel_size: tuple[float, float] | None = None,
+    color: bool = False,
+) -> bytes:
+    import tifffile
+
+    array = np.asarray(values, np.float32)
+    description = {
+        **what,
+        "software": SOFTWARE,
+        "version": napari_defocus.__version__,
+        "settings": dict(settings),
+        "shape": array.shape,
+        **(made or {}),
+    }
+    buffer = io.BytesIO()
+    tifffile.imwrite(
+        buffer,
+        array,
+        photometric="rgb" if color else "minisblack",
+        extrasamples=["unassalpha"] if color and array.shape[2:] == (4,) else None,
+        compression="zlib",
+        description=json.dumps(description, default=_plain),
+        software=f"{SOFTWARE} {napari_defocus.__version__}",
+        metadata=None,
+        **_resolution(pixel_size),
+    )
+    return buffer.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold for a value of NumPy; the name of anything else."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+
+def _resolution(pixel_size: tuple[float, float] | None) -> dict[str, Any]:
+    if pixel_size is None:
+        return {}
+    height, width = pixel_size
+    return {"resolution": (0.01 / width, 0.01 / height), "resolutionunit": "CENTIMETER"}
+
+
+def description_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a TIFF of this module says about itself; nothing if it is another file.
+
+    No pixels are read.
+    """
+    import tifffile
+
+    # Damaged files raise anything; reading them as pictures says what is wrong with them.
+    with suppress(Exception), tifffile.TiffFile(path) as tiff:
+        return said_by(tiff.pages.first.description)
+    return {}
+
+
+def settings_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a TIFF of `blur_map_tiff` says made it; nothing if it is another file."""
+    return dict(description_in_tiff(path).get("settings", {}))
+
+
+def holds(description: Mapping[str, Any]) -> str | None:
+    """Return what the file of a description holds: "blur map", "confidence", or None."""
+    quantity = str(description.get("quantity"))
+    if quantity.startswith(_BLUR_QUANTITY):
+        return "blur map"
+    return "confidence" if quantity == _CONFIDENCE_QUANTITY else None
+
+
+def values_in_tiff(path: str | os.PathLike[str]) -> NDArray[Any]:
+    """Return the values that a TIFF of `blur_map_tiff` or `confidence_tiff` holds.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    (..., H, W) float32 ndarray
+        As they were, bit for bit.
+
+    Raises
+    ------
+    ValueError
+        If the file is cut off or damaged.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "stack-blur.tif")
+    ...     _ = file.write_bytes(blur_map_tiff(np.ones((1, 4, 5)), {}))
+    ...     values_in_tiff(file).shape
+    (1, 4, 5)
+    """
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            pages = np.stack([page.asarray() for page in tiff.pages])
+        # Files from before stacks were written do not say their shape.
+        return pages.reshape(description_in_tiff(path).get("shape", pages.shape[1:]))
+    except Exception as error:
+        raise ValueError(f"cannot read {path}: the file is cut off or damaged") from error
+
+
+def blur_map_png(
+    blur_map: ArrayLike,
+    max_scale: float = MapSettings.max_radius,
+    scale_name: str = Disc.scale_name,
+    min_confidence: float = 0.0,
+) -> bytes:
+    """Draw a blur map in colour, with a colour bar in px, as a PNG file.
+
+    Parameters
+    ----------
+    blur_map : (H, W) array_like
+        Blur scale, in px; NaN, drawn grey, where it is not trusted.
+    max_scale : float
+        The scale, in px, at the upper end of the colour bar; the lower end is 0 px.
+    scale_name : str
+        What the PSF family's scale measures, with its unit.
+    min_confidence : float
+        Below what confidence the map is not trusted; told if it is above 0.
+
+    Returns
+    -------
+    bytes
+        A PNG file: one picture pixel a pixel of the map, unless the map is very small or
+        very large.
+    """
+    note = f"grey: confidence below {min_confidence:g}" if min_confidence > 0 else ""
+    return _drawing(blur_map, COLOR_MAP, (0.0, max_scale), f"blur {scale_name}", note)
+
+
+def depth_png(depth: ArrayLike, min_confidence: float = 0.0) -> bytes:
+    """Draw distances in colour, with a colour bar in m, as a PNG file.
+
+    Parameters
+    ----------
+    depth : (H, W) array_like
+        In m; infinite, drawn light blue, where no distance has so much blur; NaN, drawn grey,
+        where it is not trusted. Both are told.
+    min_confidence : float
+        Below what confidence distances are not trusted.
+
+    Returns
+    -------
+    bytes
+        A PNG file like that of `blur_map_png`. The colour bar ends at the 2nd and the 98th
+        percentile of the finite distances.
+    """
+    distance = np.asarray(depth, np.float32)
+    finite, infinite = distance[np.isfinite(distance)], np.isposinf(distance)
+    near, far = np.percentile(finite, DEPTH_RANGE) if finite.size else (1.0, 1.0)
+    far = max(far, near * (1 + LEAST_DEPTH_RANGE))
+    notes = []
+    if infinite.any():
+        notes.append("light blue: beyond what the lens can tell")
+    if np.isnan(distance).any():
+        confidence = f"confidence below {min_confidence:g}"
+        notes.append(f"grey: {confidence if min_confidence > 0 else 'not known'}")
+    shown = np.where(infinite, 2 * far, np.clip(distance, near, far))
+    note, beyond = "\n".join(notes), BEYOND_COLOR if infinite.any() else None
+    return _drawing(shown, DEPTH_COLOR_MAP, (near, far), "distance (m)", note, beyond)
+
+
+def confidence_png(confidence: ArrayLike) -> bytes:
+    """Draw a confidence map, (H, W) in [0, 1], in grey with a colour bar, as a PNG file."""
+    return _drawing(confidence, "gray", (0.0, 1.0), "confidence")
+
+
+def _drawing(
+    values: ArrayLike,
+    color_map: str,
+    ends: tuple[float, float],
+    label: str,
+    note: str = "",
+    beyond: tuple[float, float, float] | None = None,
+) -> bytes:
+    """Draw values with a colour bar, NaN grey; `beyond` is the colour above its upper end."""
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    shown = np.asarray(values, np.float32)
+    width, height = _shown_size(*shown.shape)
+    height, margin, bar_room, dpi = max(height, 240), 20, 100, 100
+    note_room = 20 * len(note.splitlines())
+    across, up = width + bar_room + 2 * margin, height + note_room + 2 * margin
+    figure = Figure(figsize=(across / dpi, up / dpi), dpi=dpi)
+    bottom, tall = (margin + note_room) / up, height / up
+    map_axes = figure.add_axes((margin / across, bottom, width / across, tall))
+    bar_axes = figure.add_axes(((width + 2 * margin) / across, bottom, margin / across, tall))
+    colors = colormaps[color_map].with_extremes(bad=NOT_TRUSTED_COLOR, over=beyond)
+    drawn = map_axes.imshow(shown, cmap=colors, vmin=ends[0], vmax=ends[1])
+    map_axes.set_axis_off()
+    figure.colorbar(drawn, cax=bar_axes, label=label, extend="max" if beyond else "neither")
+    figure.text(margin / across, margin / 2 / up, note)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return marked_png(buffer.getvalue(), f"drawing: {label}")
+
+
+def _shown_size(height: int, width: int) -> tuple[int, int]:
+    side = max(height, width)
+    zoom = float(np.clip(side, *SHOWN_SIDE)) / side
+    return max(round(width * zoom), 1), max(round(height * zoom), 1)
+
+
+def mask_png(mask: ArrayLike) -> bytes:
+    """Encode an in-focus mask as a PNG file that people can look at.
+
+    Parameters
+    ----------
+    mask : (H, W) array_like
+        Non-zero in focus, 0 out of focus.
+
+    Returns
+    -------
+    bytes
+        An 8-bit grey PNG: 255 (white) in focus, 0 (black) out of focus.
+    """
+    return _png(np.where(np.asarray(mask) != 0, 255, 0).astype(np.uint8), "in-focus mask")
+
+
+def overlay_png(
+    image: ArrayLike, mask: ArrayLike, intensity_range: tuple[float, float] | None = None
+) -> bytes:
+    """Show an in-focus mask on its picture, as a PNG file.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        The picture; what `napari_defocus.core.image.prepare_image` takes.
+    mask : (H, W) array_like
+        Non-zero in focus, 0 out of focus.
+    intensity_range : (float, float), optional
+        The intensities shown as black and white, instead of those that are found; a picture
+        that fills less than half of them is brightened.
+
+    Returns
+    -------
+    bytes
+        An 8-bit RGB PNG: the part out of focus dimmed, a thin outline around the rest.
+    """
+    focused = np.asarray(mask) != 0
+    color = shown_colors(prepare_image(image, intensity_range))
+    shown = np.where(focused[..., None], color, DIMMED * color)
+    shown = np.broadcast_to(shown, (*focused.shape, 3)).copy()
+    shown[_outline(focused)] = OUTLINE_COLOR
+    return _png(np.rint(255.0 * shown).astype(np.uint8), "drawing: what is in focus")
+
+
+def _outline(focused: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    from scipy.ndimage import binary_erosion
+
+    thickness = max(1, round(max(focused.shape) / 1000))
+    inner: NDArray[np.bool_] = binary_erosion(focused, iterations=thickness, border_value=1)
+    return focused & ~inner
+
+
+def _png(pixels: NDArray[np.uint8], quantity: str) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG")
+    return marked_png(buffer.getvalue(), quantity)

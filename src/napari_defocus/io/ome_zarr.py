@@ -1,0 +1,262 @@
+"""OME-Zarr in: axes, scale and units, and pixels that are read when they are computed."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.io.lazy_arrays import block_side, lazy_array, need_large_extra
+from napari_defocus.io.pictures import UnreadablePicture, reading_failure
+
+if TYPE_CHECKING:
+    import dask.array as da
+
+OUR_KEY = "napari_defocus"
+"""Where a store says what made it, beside the key "ome"."""
+
+RGB_COLORS = ("FF0000", "00FF00", "0000FF")
+"""Channels of these colours, in this order, are one picture in colour."""
+
+
+@dataclass(frozen=True, eq=False)
+class OmeZarrPicture:
+    """What an OME-Zarr store holds.
+
+    Attributes
+    ----------
+    levels : tuple of dask.array.Array
+        The pyramid, the largest first; read when computed.
+    axes : str
+        A letter an axis; y and x are the last two.
+    scale, units : dict
+        Of the largest level, for the axes that have them, such as 0.25 and "micrometer".
+    attributes : dict
+        What a store of `new_ome_zarr` says made it; empty for others.
+    channel_colors : tuple of str
+        Colours of the channels as the store gives them, such as "FF0000"; empty if it does not.
+    """
+
+    levels: tuple[da.Array, ...]
+    axes: str
+    scale: dict[str, float]
+    units: dict[str, str]
+    attributes: dict[str, Any]
+    channel_colors: tuple[str, ...]
+
+
+def is_zarr(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a folder that is, or by its name should be, a Zarr store."""
+    folder = Path(path)
+    if not folder.is_dir():
+        return False
+    marks = ("zarr.json", ".zgroup", ".zattrs", ".zarray")
+    return folder.suffix.lower() == ".zarr" or any((folder / mark).is_file() for mark in marks)
+
+
+def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
+    """Read an OME-Zarr store of version 0.4 or 0.5, lazily: its first multiscale picture.
+
+    A store that bioformats2raw made of one picture is read as that picture.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder of the store.
+
+    Returns
+    -------
+    OmeZarrPicture
+
+    Raises
+    ------
+    UnreadablePicture
+        If there is no such folder, it is no OME-Zarr store, holds a plate or several pictures
+        (the message says which folder to give), has no real numbers, or no axes y and x.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, numpy as np
+    >>> from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     writer = new_ome_zarr(
+    ...         pathlib.Path(folder, "map.ome.zarr"), shape=(4, 5), dtype="float32", axes="yx",
+    ...         scale={"y": 0.25, "x": 0.25}, units={"y": "micrometer", "x": "micrometer"},
+    ...         attributes={"settings": {"window": 41}})
+    ...     writer.write_region((slice(0, 4), slice(0, 5)), np.ones((4, 5)))
+    ...     picture = read_ome_zarr(writer.finish())
+    ...     picture.axes, picture.scale["x"], picture.units["x"], picture.attributes
+    ('yx', 0.25, 'micrometer', {'settings': {'window': 41}})
+    """
+    need_large_extra()
+    try:
+        return _picture(Path(path).absolute())
+    # Zarr and damaged metadata raise anything.
+    except Exception as error:
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+
+
+def _picture(path: Path) -> OmeZarrPicture:
+    group = _opened(path)
+    attributes = dict(group.attrs)
+    about = attributes.get("ome", attributes)
+    if "multiscales" not in about:
+        return _picture(_only_picture_below(path, about, sorted(group.group_keys())))
+    multiscale = about["multiscales"][0]
+    if "axes" not in multiscale:
+        raise ValueError("it has no axes; OME-Zarr 0.4 and 0.5 are read")
+    declared = [axis if isinstance(axis, dict) else {"name": axis} for axis in multiscale["axes"]]
+    letters = _letters(declared)
+    arrays = [group[dataset["path"]] for dataset in multiscale["datasets"]]
+    _check_arrays(arrays, letters)
+    order = [i for i, letter in enumerate(letters) if letter not in "yx"]
+    order += [letters.index("y"), letters.index("x")]
+    scale, units = _scale_and_units(multiscale, declared, letters)
+    channels = about.get("omero", attributes.get("omero", {})).get("channels", [])
+    return OmeZarrPicture(
+        levels=tuple(_lazy(array, letters, path).transpose(order) for array in arrays),
+        axes="".join(letters[i] for i in order),
+        scale=scale,
+        units=units,
+        attributes=dict(attributes.get(OUR_KEY, {})),
+        channel_colors=tuple(str(channel.get("color", "")) for channel in channels),
+    )
+
+
+def _opened(path: Path) -> Any:
+    import zarr
+
+    if not path.exists():
+        raise ValueError("there is no such folder")
+    if not path.is_dir():
+        raise ValueError("it is no folder, as OME-Zarr stores are")
+    if any((path / name).is_file() for name in (".zarray",)) or _is_array(path):
+        raise ValueError("it is one level of a picture; give the folder that it is in")
+    try:
+        return zarr.open_group(path, mode="r")
+    except FileNotFoundError as error:
+        raise ValueError("it is no OME-Zarr store: it has no zarr.json or .zgroup") from error
+
+
+def _is_array(path: Path) -> bool:
+    about = path / "zarr.json"
+    return about.is_file() and json.loads(about.read_text("utf-8")).get("node_type") == "array"
+
+
+def _only_picture_below(path: Path, about: Mapping[str, Any], groups: list[str]) -> Path:
+    """Return the picture in a store of bioformats2raw; say what to give for other layouts."""
+    if "plate" in about:
+        wells = about["plate"].get("wells") or [{"path": "A/1"}]
+        raise ValueError(f"it is a plate; give one field, such as {path / wells[0]['path'] / '0'}")
+    if "well" in about:
+        images = about["well"].get("images") or [{"path": "0"}]
+        raise ValueError(f"it is a well; give one field, such as {path / images[0]['path']}")
+    if "bioformats2raw.layout" in about:
+        pictures = [name for name in groups if name.isdigit()]
+        if len(pictures) == 1:
+            return path / pictures[0]
+        if pictures:
+            first = path / min(pictures, key=int)
+            raise ValueError(f"it holds {len(pictures)} pictures; give one, such as {first}")
+    raise ValueError("it is no OME-Zarr picture: it has no multiscales")
+
+
+_LETTER_OF_TYPE = {"channel": "c", "time": "t"}
+"""Of axes that a store declares as such, whatever it calls them."""
+
+
+def _letters(declared: list[dict[str, Any]]) -> str:
+    """Return a letter an axis: that of its type, the first of its name, or one that is free."""
+    letters, names = "", [str(axis["name"]) for axis in declared]
+    for axis, name in zip(declared, names, strict=True):
+        of_type = _LETTER_OF_TYPE.get(str(axis.get("type")), "")
+        wished = [*of_type, *name.lower(), *"qpomnlkjihgfedbavwur"]
+        letters += next(a for a in wished if a.isalpha() and a != "s" and a not in letters)
+    if "y" not in letters or "x" not in letters:
+        raise ValueError(f"its axes are {', '.join(names)}; y and x are needed")
+    return letters
+
+
+def _check_arrays(arrays: list[Any], letters: str) -> None:
+    for array in arrays:
+        if len(array.shape) != len(letters):
+            raise ValueError(f"its data have {len(array.shape)} axes, and it names {len(letters)}")
+        if array.dtype.kind not in "buif":
+            raise ValueError(f"it holds {array.dtype}; real numbers are read")
+        if 0 in array.shape:
+            raise ValueError(f"it is empty: its shape is {array.shape}")
+
+
+@dataclass(frozen=True, eq=False)
+class StoredArray:
+    """An array of a store whose damaged chunks are errors that name the store.
+
+    Attributes
+    ----------
+    array : zarr.Array
+    path : Path
+        Of the store.
+    owner : object
+        Kept while anything may be read from the array.
+    """
+
+    array: Any
+    path: Path
+    owner: Any = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the whole."""
+        return tuple(self.array.shape)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of what is read."""
+        return np.dtype(self.array.dtype)
+
+    def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
+        """Read a region; UnreadablePicture if a chunk of it is damaged."""
+        # Codecs raise anything.
+        try:
+            return np.asarray(self.array[region])
+        except Exception as error:
+            reason = reading_failure(error)
+            raise UnreadablePicture(f"cannot read {self.path}: {reason}") from error
+
+
+def _lazy(array: Any, letters: str, path: Path) -> da.Array:
+    stored = array.shards or array.chunks
+    blocks = tuple(
+        block_side(chunk, size) if letter in "yx" else chunk
+        for chunk, size, letter in zip(stored, array.shape, letters, strict=True)
+    )
+    data = lazy_array(StoredArray(array, path), blocks)
+    return data.astype(data.dtype.newbyteorder("="))
+
+
+def _scale_and_units(
+    multiscale: Mapping[str, Any], declared: list[dict[str, Any]], letters: str
+) -> tuple[dict[str, float], dict[str, str]]:
+    factors = np.ones(len(letters))
+    level = multiscale["datasets"][0]
+    for transforms in (level, multiscale):
+        for transform in transforms.get("coordinateTransformations") or []:
+            factors = factors * np.asarray(transform.get("scale", 1.0), float)
+    units = {
+        letter: str(axis["unit"])
+        for letter, axis in zip(letters, declared, strict=True)
+        if axis.get("unit")
+    }
+    # 1 without a unit is what stores say that do not know.
+    scale = {
+        letter: float(factor)
+        for letter, factor in zip(letters, factors, strict=True)
+        if 0 < factor < np.inf and (letter in units or (factor != 1.0 and letter != "c"))
+    }
+    return scale, units

@@ -1,0 +1,238 @@
+"""Which files are meant: what folders and patterns name, and what of it is left out."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatch
+from pathlib import Path
+
+from napari_defocus.io.ome_zarr import is_zarr
+from napari_defocus.io.pictures import UnreadablePicture
+from napari_defocus.io.provenance import SOFTWARE, is_picture, mark_of
+
+_PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+_SLIDES = (".svs", ".ndpi", ".scn", ".qptiff", ".bif", ".lsm", ".stk", ".btf", ".tf8")
+PICTURE_SUFFIXES = (*_PHOTOGRAPHS, ".tif", ".tiff", *_SLIDES)
+"""Files of folders and patterns that are taken for pictures; the slides are kinds of TIFF."""
+
+FOLDER, RESULT, NO_ENDING = "folder", "result", "no ending"
+"""What is left out and has no ending that would say what it is."""
+
+_TOLD = {
+    FOLDER: ("folder", "folders"),
+    RESULT: (f"result of {SOFTWARE}", f"results of {SOFTWARE}"),
+    NO_ENDING: ("without an ending", "without an ending"),
+}
+_WILD = re.compile(r"[*?\[]")
+
+
+@dataclass(frozen=True, eq=False)
+class PictureFiles:
+    """What files, folders and patterns name.
+
+    Attributes
+    ----------
+    pictures : list of Path
+        Each once, in their order.
+    left_out : dict of str to int
+        How many others there are, by their endings; `FOLDER` and `RESULT` for folders that are
+        not looked into, and for what this package made.
+    """
+
+    pictures: list[Path]
+    left_out: dict[str, int]
+
+
+@dataclass(eq=False)
+class _Search:
+    """A search, and what it left out.
+
+    Whatever is in the folder `besides` is neither found nor counted.
+    """
+
+    besides: Path | None
+    others: dict[Path, str] = field(default_factory=dict)
+
+    def is_picture(self, path: Path) -> bool:
+        """Return whether something found is a picture; note it if it is none."""
+        if is_zarr(path) or (path.suffix.lower() in PICTURE_SUFFIXES and path.is_file()):
+            if not mark_of(path):
+                return True
+            self.leave_out(path, RESULT)
+        elif path.is_file():
+            self.leave_out(path, path.suffix.lower() or NO_ENDING)
+        return False
+
+    def leave_out(self, path: Path, kind: str) -> None:
+        place = path.resolve()
+        if self.besides is None or self.besides not in (place, *place.parents):
+            self.others.setdefault(place, kind)
+
+    def counts(self, named: Iterable[Path]) -> dict[str, int]:
+        """Count what was left out and was not named otherwise, by kind."""
+        kept = set(named)
+        counted = Counter(kind for place, kind in self.others.items() if place not in kept)
+        return dict(sorted(counted.items(), key=lambda item: (-item[1], item[0])))
+
+
+def look_for_pictures(
+    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    besides: Path | None = None,
+) -> PictureFiles:
+    """Return the pictures that files, folders and patterns name, and what is left out.
+
+    Parameters
+    ----------
+    inputs : path-like, or iterable of path-like
+        As `find_sources` takes them.
+    besides : Path, optional
+        A folder, such as that of results, of which nothing is told.
+
+    Raises
+    ------
+    UnreadablePicture
+        As `find_sources`.
+    """
+    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    search = _Search(None if besides is None else besides.resolve())
+    found: dict[Path, Path] = {}
+    for one in given:
+        for path in _named_by(Path(one), search):
+            found.setdefault(path.resolve(), path)
+    return PictureFiles(list(found.values()), search.counts(found))
+
+
+def told_left_out(left_out: Mapping[str, int]) -> str:
+    """Say what was left out.
+
+    Examples
+    --------
+    >>> told_left_out({".txt": 3, "result": 2, "folder": 1})
+    '3 .txt, 2 results of napari-defocus, 1 folder'
+    """
+    return ", ".join(
+        f"{count} {_TOLD[kind][count > 1] if kind in _TOLD else kind}"
+        for kind, count in left_out.items()
+    )
+
+
+def find_sources(inputs: Iterable[str | os.PathLike[str]]) -> list[Path]:
+    """Return the pictures that files, folders and patterns name, each once, in their order.
+
+    Parameters
+    ----------
+    inputs : iterable of path-like
+        Files, whatever they are called, and OME-Zarr stores; folders, which stand for the
+        pictures and stores right in them, by their endings; and patterns with `*`, `?`, `[]` and
+        `**`, which stand for pictures and stores, at any depth. What is hidden, and what is
+        inside of a store, is not found, nor is what this package made: by what files say of
+        themselves, not by their names.
+
+    Returns
+    -------
+    list of Path
+        Those of a folder or a pattern in the natural order of their names.
+
+    Raises
+    ------
+    UnreadablePicture
+        If an input names nothing, a folder without pictures, or a map, a mask or a drawing that
+        this package made. Pictures that it made can be named.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name in ("b10.png", "b9.png", "a.txt"):
+    ...         pathlib.Path(folder, name).touch()
+    ...     [path.name for path in find_sources([folder, f"{folder}/b*"])]
+    ['b9.png', 'b10.png']
+    """
+    return look_for_pictures(inputs).pictures
+
+
+def _named_by(path: Path, search: _Search) -> list[Path]:
+    if path.is_file() or is_zarr(path):
+        return [_checked(path)]
+    if path.is_dir():
+        return _in_folder(path, search)
+    if not _WILD.search(str(path)):
+        raise UnreadablePicture(f"cannot read {path}: there is no such file")
+    pattern = path.relative_to(path.anchor).parts if path.anchor else path.parts
+    entries = dict.fromkeys(_matches(Path(path.anchor), pattern))
+    matches = [entry for entry in entries if search.is_picture(entry)]
+    if not matches:
+        raise UnreadablePicture(f"cannot read {path}: no picture matches {_kinds(search)}")
+    return sorted(matches, key=naturally)
+
+
+def _checked(path: Path) -> Path:
+    """Refuse what this package made and that shows no scene."""
+    mark = mark_of(path)
+    if not is_picture(mark):
+        what = mark.get("quantity") or "result"
+        raise UnreadablePicture(
+            f"cannot read {path}: it is no picture, but a result of {SOFTWARE} ({what}); folders, "
+            "and patterns in quotation marks, leave results out"
+        )
+    return path
+
+
+def _in_folder(folder: Path, search: _Search) -> list[Path]:
+    entries = _entries(folder)
+    pictures = [entry for entry in entries if search.is_picture(entry)]
+    for entry in entries:
+        if entry.is_dir() and not is_zarr(entry):
+            search.leave_out(entry, FOLDER)
+    if not pictures:
+        raise UnreadablePicture(
+            f"cannot read {folder}: the folder has no pictures {_kinds(search)}"
+        )
+    return pictures
+
+
+def _kinds(search: _Search) -> str:
+    left_out = search.counts([])
+    told = f"; left out: {told_left_out(left_out)}" if left_out else ""
+    return f"({', '.join(PICTURE_SUFFIXES)}){told}"
+
+
+def _matches(folder: Path, pattern: tuple[str, ...]) -> Iterator[Path]:
+    first, *rest = pattern
+    following = tuple(rest) or ("*",) if first == "**" else tuple(rest)
+    if first == "**":
+        yield from _matches(folder, following)
+        for entry in _folders(folder):
+            yield from _matches(entry, pattern)
+    elif (entry := folder / first).exists():
+        yield from _matches(entry, following) if following else [entry]
+    elif following:
+        for entry in _folders(folder):
+            if fnmatch(entry.name, first):
+                yield from _matches(entry, following)
+    elif folder.is_dir():
+        yield from (entry for entry in _entries(folder) if fnmatch(entry.name, first))
+
+
+def _entries(folder: Path) -> list[Path]:
+    seen = (entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    return sorted(seen, key=naturally)
+
+
+def _folders(folder: Path) -> list[Path]:
+    entries = _entries(folder) if folder.is_dir() else []
+    return [e for e in entries if e.is_dir() and not e.is_symlink() and not is_zarr(e)]
+
+
+def naturally(path: Path) -> list[tuple[list[tuple[int, str]], str]]:
+    """Return a key that sorts numbers in names by their value."""
+    return [(_words(part), part) for part in path.parts]
+
+
+def _words(name: str) -> list[tuple[int, str]]:
+    pieces = re.split(r"(\d+)", name.lower())
+    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in pieces]

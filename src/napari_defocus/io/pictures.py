@@ -1,0 +1,489 @@
+"""Pictures in, results out: decoding by content, and files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from struct import unpack
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from napari_defocus.core.settings import check_flag
+from napari_defocus.io.tiff_series import picture_number, told_choice
+
+PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
+"""What Pillow may decode; some of its other formats start programs (EPS) or have no pixels."""
+
+TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+PNG_START = b"\x89PNG\r\n\x1a\n"
+PNG_BIT_DEPTH_AT = 24
+
+
+_OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError)
+"""What decoders raise that did not expect what they met; it tells a reader of files little."""
+
+
+class UnreadablePicture(ValueError):
+    """No picture could be read; the message is one line with the path and the reason."""
+
+
+class UnwritableResult(OSError):
+    """A result cannot be written; the message is one line with the path and the reason."""
+
+
+class NeedsForce(UnwritableResult):
+    """Something may only be overwritten if the caller says so.
+
+    Parameters
+    ----------
+    problem : str
+        What is in the way.
+    remedy : str
+        What saying so does; `{force}` stands for how it is said.
+
+    Examples
+    --------
+    >>> refused = NeedsForce("cannot write a.tif: it exists already", "{force} overwrites it")
+    >>> str(refused)
+    'cannot write a.tif: it exists already (force=True overwrites it)'
+    >>> refused.told("--force")
+    'cannot write a.tif: it exists already (--force overwrites it)'
+    """
+
+    def __init__(self, problem: str, remedy: str) -> None:
+        self.problem, self.remedy = problem, remedy
+        super().__init__(self.told("force=True"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let it come back from another process."""
+        return type(self), (self.problem, self.remedy)
+
+    def told(self, force: str) -> str:
+        """Return the message as those read it who say `force` in their own way."""
+        return f"{self.problem} ({self.remedy.format(force=force)})"
+
+
+def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
+    """Read one picture, at its full depth and upright.
+
+    The content decides how it is read, not the name. Palettes and CMYK become RGB, grey with
+    opacity becomes RGBA, and the orientation that a camera noted (EXIF) is applied. Of a slide,
+    the largest level is read, see `told_choice_in`.
+
+    Parameters
+    ----------
+    path : path-like
+        A PNG, JPEG, TIFF, WebP or BMP file; slides of many makers are TIFF.
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) or (H, W, 4) ndarray
+        bool for 1 bit a pixel, uint8, uint16, or the dtype of the TIFF.
+
+    Raises
+    ------
+    UnreadablePicture
+        If there is no such file, it holds no picture, is cut off or damaged, holds more than
+        one plane, or several pictures of which none is clearly the one, has an unknown colour
+        model, or has more pixels than Pillow accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
+
+    Examples
+    --------
+    >>> import tempfile, pathlib, numpy as np, PIL.Image
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "grey.png")
+    ...     PIL.Image.fromarray(np.full((4, 5), 7, np.uint8)).save(file)
+    ...     read_picture(file).shape
+    (4, 5)
+    """
+    path = Path(path)
+    try:
+        picture, orientation = _decode(path)
+        return np.ascontiguousarray(upright(picture, orientation))
+    # Decoders raise whatever the damaged bytes led them into: struct.error, SyntaxError, ...
+    except Exception as error:
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+
+
+def told_choice_in(path: str | os.PathLike[str]) -> str:
+    """Return in words what `read_picture` takes of a file that holds more; else "".
+
+    That is of slides, such as "the largest of 4 levels; left out: label of 600 x 400 px".
+    """
+    import tifffile
+
+    # What is wrong with a file is told when it is read.
+    with suppress(Exception), Path(path).open("rb") as file:
+        if file.read(4).startswith(TIFF_STARTS):
+            with tifffile.TiffFile(path) as tiff:
+                return told_choice(tiff)
+    return ""
+
+
+def picture_form(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return the shape and dtype that `read_picture` gives; of PNG alone, pixels are decoded.
+
+    Parameters
+    ----------
+    path : Path
+        As `read_picture` takes it, but no TIFF.
+
+    Returns
+    -------
+    shape : tuple of int
+    dtype : numpy.dtype
+
+    Raises
+    ------
+    UnreadablePicture
+        As `read_picture`; damage in the pixels may be found only when they are read.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(PNG_BIT_DEPTH_AT + 1)
+        if start.startswith(PNG_START) and start[PNG_BIT_DEPTH_AT] == 16:
+            picture = read_picture(path)
+            return picture.shape, picture.dtype
+        with Image.open(path, formats=PILLOW_FORMATS) as image:
+            orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+            _refuse_animation(image)
+            width, height = image.size[::-1] if orientation in (5, 6, 7, 8) else image.size
+            return (height, width, *_pillow_channels(image)), _pillow_dtype(image)
+    except UnreadablePicture:
+        raise
+    except Exception as error:
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+
+
+def _pillow_channels(image: Image.Image) -> tuple[int, ...]:
+    if image.has_transparency_data:
+        return (4,)
+    return () if image.mode in ("1", "L") else (3,)
+
+
+def _pillow_dtype(image: Image.Image) -> np.dtype[Any]:
+    grey = image.mode == "1" and not image.has_transparency_data
+    return np.dtype(bool if grey else np.uint8)
+
+
+def _refuse_animation(image: Image.Image) -> None:
+    if getattr(image, "is_animated", False) and image.format != "MPO":
+        raise ValueError("it is animated; single pictures are read")
+
+
+def _decode(path: Path) -> tuple[NDArray[Any], int]:
+    with path.open("rb") as file:
+        start = file.read(PNG_BIT_DEPTH_AT + 1)
+    if start.startswith(TIFF_STARTS):
+        return _decode_tiff(path)
+    with Image.open(path, formats=PILLOW_FORMATS) as image:
+        orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        _refuse_animation(image)
+        # Pillow cuts 16-bit colour down to 8 bits.
+        if start.startswith(PNG_START) and start[PNG_BIT_DEPTH_AT] == 16:
+            return _decode_deep_png(path), orientation
+        return _pillow_pixels(image), orientation
+
+
+def _decode_deep_png(path: Path) -> NDArray[Any]:
+    import imagecodecs
+
+    return _opacity_last(imagecodecs.png_decode(path.read_bytes()))
+
+
+def _pillow_pixels(image: Image.Image) -> NDArray[Any]:
+    if image.has_transparency_data:
+        image = image.convert("RGBA")
+    elif image.mode not in ("1", "L", "RGB"):
+        image = image.convert("RGB")
+    return np.asarray(image)
+
+
+def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
+    import tifffile
+
+    with tifffile.TiffFile(path) as tiff:
+        series = _single_plane(tiff)
+        page = series.keyframe
+        if planes_are_missing(tiff, series) or cut_off(page, tiff.filehandle.size):
+            raise ValueError("the file is cut off")
+        pixels = series.asarray()
+        if series.axes.startswith("S"):
+            pixels = np.moveaxis(pixels, 0, -1)
+        orientation = page.tags.valueof("Orientation", default=1)
+        return tiff_colors(pixels, page), int(orientation)
+
+
+def _single_plane(tiff: Any) -> Any:
+    series = tiff.series[picture_number(tiff)]
+    if series.axes not in ("YX", "YXS", "SYX"):
+        shape = " x ".join(map(str, series.shape))
+        raise ValueError(
+            f"it is a stack of shape {shape} (axes {series.axes}); "
+            "napari-defocus batch reads stacks, plane by plane"
+        )
+    _refuse_bomb(series.keyframe.imagelength * series.keyframe.imagewidth)
+    return series
+
+
+def _refuse_bomb(pixels: int) -> None:
+    limit = Image.MAX_IMAGE_PIXELS
+    if limit is not None and pixels > 2 * limit:
+        raise ValueError(
+            f"it has {pixels} pixels; up to {2 * limit} are read at once "
+            "(napari-defocus batch measures larger ones part by part)"
+        )
+
+
+def cut_off(page: Any, size: int) -> bool:
+    """Return whether strips or tiles of a page of a TIFF lie beyond the end of its file.
+
+    One that is cut off, and compressed as JPEG, decodes without an error.
+    """
+    ends = (at + length for at, length in zip(page.dataoffsets, page.databytecounts, strict=True))
+    return max(ends, default=0) > size
+
+
+def planes_are_missing(tiff: Any, series: Any) -> bool:
+    """Return whether a file says of more pages than tifffile found; it only logs that."""
+    if tiff.is_imagej and series.kind != "imagej":
+        return int(tiff.imagej_metadata.get("images", 1)) > len(tiff.pages)
+    if series.kind not in ("generic", "uniform"):
+        return False
+    layout, file, last = tiff.tiff, tiff.filehandle, tiff.pages[-1].offset
+    file.seek(last)
+    (tags,) = unpack(layout.tagnoformat, file.read(layout.tagnosize))
+    file.seek(last + layout.tagnosize + tags * layout.tagsize)
+    (following,) = unpack(layout.offsetformat, file.read(layout.offsetsize))
+    return following != 0
+
+
+def color_model(page: Any) -> str:
+    """Return how a page of a TIFF says colours, or the number of none that is known."""
+    return getattr(page.photometric, "name", str(page.photometric))
+
+
+def tiff_colors(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+    """Turn pixels of a page of a TIFF, (H, W[, samples]), into grey, RGB or RGBA."""
+    model = color_model(page)
+    # tifffile decodes YCbCr only where JPEG does it along the way.
+    if model in ("MINISBLACK", "RGB") or (model == "YCBCR" and "JPEG" in page.compression.name):
+        return _opacity_last(pixels)
+    if model == "MINISWHITE":
+        return np.invert(pixels) if pixels.dtype.kind == "u" else pixels
+    if model == "PALETTE":
+        return np.moveaxis(page.colormap[:, pixels], 0, -1)
+    if model == "SEPARATED" and pixels.shape[2:] == (4,):
+        return _rgb_from_cmyk(pixels)
+    raise ValueError(f"its colour model {model} is not read")
+
+
+def _rgb_from_cmyk(inks: NDArray[Any]) -> NDArray[Any]:
+    full = np.iinfo(inks.dtype).max
+    light = 1.0 - inks / full
+    return np.rint(light[..., :3] * light[..., 3:] * full).astype(inks.dtype)
+
+
+def _opacity_last(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Turn grey with opacity into RGBA; refuse what is neither grey nor colour."""
+    channels = pixels[0, 0].size
+    if channels == 1:
+        return pixels.reshape(pixels.shape[:2])
+    if channels == 2:
+        return pixels[..., [0, 0, 0, 1]]
+    if channels not in (3, 4):
+        raise ValueError(f"it has {channels} channels; 1 to 4 are read")
+    return pixels
+
+
+def upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Undo the camera's orientation: EXIF and TIFF tag 274, values 1 to 8."""
+    if orientation in (5, 6, 7, 8):
+        pixels = np.swapaxes(pixels, 0, 1)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return pixels
+
+
+def reading_failure(error: Exception) -> str:
+    """Return, in one line, why a file could not be read."""
+    if isinstance(error, FileNotFoundError):
+        return "there is no such file"
+    if isinstance(error, IsADirectoryError):
+        return "it is a folder"
+    if isinstance(error, UnidentifiedImageError):
+        return "it is no picture (PNG, JPEG, TIFF, WebP or BMP)"
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for it"
+    if isinstance(error, _OF_PROGRAMS):
+        return f"it is damaged ({type(error).__name__}: {_in_one_line(error)})"
+    return _in_one_line(error)
+
+
+def _in_one_line(error: Exception) -> str:
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(text.split())
+
+
+def check_results(
+    paths: Iterable[Path], *, force: bool = False, source: Path | None = None
+) -> None:
+    """Make sure, before any long work, that results can be written.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        The files to come.
+    force : bool
+        Whether a file that exists may be overwritten.
+    source : Path, optional
+        A file that is read; it is never overwritten.
+
+    Raises
+    ------
+    TypeError
+        If `force` is neither True nor False.
+    UnwritableResult
+        If the folder of a result is missing or takes no new file, it is a folder, a device or
+        `source`, or two results are one file.
+    NeedsForce
+        If a result exists and `force` is not set.
+    """
+    check_flag("force", force)
+    seen: set[Path] = set()
+    for path in paths:
+        target = path.resolve()
+        refusal = "it is given twice" if target in seen else _refusal(target, source)
+        if refusal:
+            raise UnwritableResult(f"cannot write {path}: {refusal}")
+        if target.exists() and not force:
+            raise NeedsForce(f"cannot write {path}: it exists already", "{force} overwrites it")
+        seen.add(target)
+
+
+def _refusal(target: Path, source: Path | None) -> str | None:
+    if not target.parent.is_dir():
+        return f"there is no folder {target.parent}"
+    if target.is_dir():
+        return "it is a folder"
+    if target.exists():
+        if not target.is_file():
+            return "it is no regular file"
+        if source is not None and source.exists() and target.samefile(source):
+            return "it is a file that is read"
+    return _creation_failure(target.parent)
+
+
+def _creation_failure(folder: Path) -> str | None:
+    probe = unused_name(folder)
+    try:
+        probe.touch(exist_ok=False)
+        probe.unlink()
+    except OSError as error:
+        return _in_one_line(error)
+    return None
+
+
+def unused_name(folder: Path) -> Path:
+    """Return a temporary name for a file to come, which no other process takes."""
+    return folder / f".napari-defocus-{secrets.token_hex(8)}.part"
+
+
+def write_results(contents: Mapping[Path, bytes], *, force: bool = False) -> None:
+    """Write files that belong together: all of them whole, or none.
+
+    Every file is written and synchronised under a temporary name in its own folder first, and
+    what it replaces is kept there, too; then all get their names.
+
+    Parameters
+    ----------
+    contents : mapping of Path to bytes
+        What goes into which file.
+    force : bool
+        Whether files that exist are overwritten.
+
+    Raises
+    ------
+    UnwritableResult
+        For the reasons of `check_results`, or if writing or renaming fails, for instance because
+        the disk is full. No temporary file stays behind, and files that existed are as they
+        were. So it is after an interruption, too.
+    """
+    check_results(contents, force=force)
+    swaps = [_Swap.at(path) for path in contents]
+    try:
+        for swap in swaps:
+            _write_through(swap.part, contents[swap.path])
+        for swap in swaps:
+            swap.keep_old()
+        for swap in swaps:
+            swap.part.replace(swap.target)
+    except BaseException as error:
+        stuck = [each for each in swaps if not each.undo()]
+        if isinstance(error, OSError):
+            told = [_in_one_line(error), *(f"{each.path} was {each.old}" for each in stuck)]
+            raise UnwritableResult(f"cannot write {swap.path}: {'; '.join(told)}") from error
+        raise
+    else:
+        for swap in swaps:
+            swap.old.unlink(missing_ok=True)
+    finally:
+        for swap in swaps:
+            swap.part.unlink(missing_ok=True)
+
+
+@dataclass
+class _Swap:
+    """A file that gets a new content, and can get the old one back.
+
+    `old` is another name of what was there; where a file system has no second names, a copy.
+    """
+
+    path: Path
+    target: Path
+    part: Path
+    old: Path
+    ready: bool = False
+
+    @classmethod
+    def at(cls, path: Path) -> _Swap:
+        target = path.resolve()
+        return cls(path, target, unused_name(target.parent), unused_name(target.parent))
+
+    def keep_old(self) -> None:
+        if self.target.exists():
+            try:
+                os.link(self.target, self.old)
+            except OSError:
+                shutil.copy2(self.target, self.old)
+        self.ready = True
+
+    def undo(self) -> bool:
+        """Put back what was there; return whether that went well."""
+        try:
+            if not self.ready or self.part.exists():
+                self.old.unlink(missing_ok=True)
+            elif self.old.exists():
+                self.old.replace(self.target)
+            else:
+                self.target.unlink(missing_ok=True)
+        except OSError:
+            return False
+        return True
+
+
+def _write_through(path: Path, content: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())

@@ -1,0 +1,147 @@
+"""How files of this package are known: what they say of themselves, whatever they are called."""
+
+from __future__ import annotations
+
+import json
+import os
+import xml.etree.ElementTree as ElementTree
+import zlib
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import napari_defocus
+from napari_defocus.io.ome_zarr import OUR_KEY, is_zarr
+from napari_defocus.io.pictures import PNG_START, TIFF_STARTS
+
+SOFTWARE = "napari-defocus"
+
+ALL_IN_FOCUS, REFOCUSED = "all-in-focus picture", "refocused picture"
+SHARPEST_PIXELS = "picture of the sharpest pixels"
+
+_PICTURES = (ALL_IN_FOCUS, REFOCUSED, SHARPEST_PIXELS, "all in focus", "refocused")
+"""Quantities of results that can be measured as any other picture; the last two are napari's."""
+
+_LONGEST_TEXT = 2**16
+"""Bytes of a text in a PNG that are read."""
+
+
+def mark_of(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a file or a store says of itself if this package made it; else nothing.
+
+    Parameters
+    ----------
+    path : path-like
+        Any file or folder. No pixels are read.
+
+    Returns
+    -------
+    dict
+        Among others `quantity`, what it holds, such as "defocus blur radius".
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "mask.png")
+    ...     _ = file.write_bytes(marked_png(_SMALLEST_PNG, "in-focus mask"))
+    ...     mark_of(file)["quantity"], mark_of(folder)
+    ('in-focus mask', {})
+    """
+    place = Path(path)
+    # Damaged files raise anything; reading them as pictures says what is wrong with them.
+    with suppress(Exception):
+        if place.is_dir():
+            return _mark_in_store(place) if is_zarr(place) else {}
+        with place.open("rb") as file:
+            start = file.read(len(PNG_START))
+            if start == PNG_START:
+                return _mark_in_png(file)
+        if start.startswith(TIFF_STARTS):
+            return mark_in_tiff(place)
+    return {}
+
+
+def is_picture(mark: dict[str, Any]) -> bool:
+    """Return whether a file with this mark shows a scene, as those without a mark do."""
+    return not mark or mark.get("quantity") in _PICTURES
+
+
+def mark_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a TIFF of this package says of itself, of one plane or many; else nothing."""
+    import tifffile
+
+    with suppress(Exception), tifffile.TiffFile(path) as tiff:
+        return said_by(tiff.pages.first.description) or _said_by_ome(tiff.ome_metadata or "")
+    return {}
+
+
+def said_by(text: str) -> dict[str, Any]:
+    """Return what a text of JSON says if this package wrote it; else nothing."""
+    with suppress(TypeError, ValueError):
+        found = json.loads(text)
+        if isinstance(found, dict) and found.get("software") == SOFTWARE:
+            return found
+    return {}
+
+
+def _said_by_ome(text: str) -> dict[str, Any]:
+    if SOFTWARE not in text:
+        return {}
+    elements = ElementTree.fromstring(text).iter()
+    return next(
+        (said_by(each.text or "") for each in elements if each.tag.endswith("}Description")), {}
+    )
+
+
+def _mark_in_store(folder: Path) -> dict[str, Any]:
+    about = json.loads((folder / "zarr.json").read_text("utf-8"))
+    return dict(about["attributes"][OUR_KEY])
+
+
+def marked_png(content: bytes, quantity: str) -> bytes:
+    """Return a PNG file that says what it holds, and that this package made it.
+
+    Parameters
+    ----------
+    content : bytes
+        A PNG file.
+    quantity : str
+        What it holds, such as "in-focus mask".
+    """
+    version = napari_defocus.__version__
+    about = {"quantity": quantity, "software": SOFTWARE, "version": version}
+    texts = {"Software": f"{SOFTWARE} {version}", "Description": json.dumps(about)}
+    after_header = len(PNG_START) + 25
+    chunks = b"".join(
+        _chunk(b"tEXt", f"{keyword}\0{text}".encode("latin-1")) for keyword, text in texts.items()
+    )
+    return content[:after_header] + chunks + content[after_header:]
+
+
+def _chunk(kind: bytes, body: bytes) -> bytes:
+    checked = kind + body
+    return len(body).to_bytes(4, "big") + checked + zlib.crc32(checked).to_bytes(4, "big")
+
+
+def _mark_in_png(file: BinaryIO) -> dict[str, Any]:
+    """Return the mark that stands in a PNG file before its pixels."""
+    while True:
+        length, kind = int.from_bytes(file.read(4), "big"), file.read(4)
+        if kind in (b"IDAT", b"IEND", b""):
+            return {}
+        if kind != b"tEXt" or length > _LONGEST_TEXT:
+            file.seek(length + 4, os.SEEK_CUR)
+            continue
+        keyword, _, text = file.read(length).partition(b"\0")
+        file.seek(4, os.SEEK_CUR)
+        if keyword == b"Description" and (found := said_by(text.decode("latin-1"))):
+            return found
+
+
+_SMALLEST_PNG = (
+    PNG_START
+    + _chunk(b"IHDR", bytes([0, 0, 0, 1, 0, 0, 0, 1, 8, 0, 0, 0, 0]))
+    + _chunk(b"IDAT", zlib.compress(b"\0\0"))
+    + _chunk(b"IEND", b"")
+)

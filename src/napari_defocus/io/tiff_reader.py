@@ -1,0 +1,318 @@
+"""TIFF in, lazily: stacks, tiles and pyramids, page by page and tile by tile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.io.lazy_arrays import block_side, lazy_array
+from napari_defocus.io.pictures import (
+    UnreadablePicture,
+    color_model,
+    cut_off,
+    planes_are_missing,
+    reading_failure,
+    tiff_colors,
+    upright,
+)
+from napari_defocus.io.tiff_scale import Scale, scale_in_tiff
+from napari_defocus.io.tiff_series import picture_number
+
+if TYPE_CHECKING:
+    import dask.array as da
+
+_PAGE_AXES = ("YX", "YXS", "SYX")
+_NO_PAGE = -1
+
+
+@dataclass(frozen=True, eq=False)
+class TiffPages:
+    """Planes of one form, each a page of a file, of which regions are decoded.
+
+    Attributes
+    ----------
+    files : tuple of str
+        An OME-TIFF can be spread over several.
+    file_of, offsets : int64 ndarray
+        Of each plane, in the shape of the axes before rows and columns: which file, and where its
+        page is described there; -1 for planes that were not recorded, which are 0.
+    shape, dtype
+        Of all planes, colours last.
+    as_stored : bool
+        Whether palettes are ImageJ's tables of display colours, and do not count.
+    apart : bool
+        Whether the last axis before rows is that of the channels of each page, as in LSM.
+    """
+
+    files: tuple[str, ...]
+    file_of: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    as_stored: bool
+    apart: bool = False
+
+    def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
+        """Read a region, one slice an axis."""
+        leading = self.offsets.ndim
+        rows, columns = region[leading : leading + 2]
+        colors: tuple[Any, ...] = (..., *region[leading + 2 :])
+        sizes = [part.stop - part.start for part in region]
+        values = np.zeros(sizes, self.dtype)
+        planes = product(*(range(part.start, part.stop) for part in region[:leading]))
+        for at, plane in zip(np.ndindex(*sizes[:leading]), planes, strict=True):
+            if self.offsets[plane] != _NO_PAGE:
+                values[at] = self._pixels(plane, rows, columns)[colors]
+        return values
+
+    def _pixels(self, plane: tuple[int, ...], rows: slice, columns: slice) -> NDArray[Any]:
+        import tifffile
+
+        file = self.files[self.file_of[plane]]
+        try:
+            with tifffile.TiffFile(file) as tiff:
+                place = int(self.offsets[plane])
+                # Of later pages, tifffile mends what some formats get wrong.
+                index = int(place != tiff.pages.first.offset)
+                tiff.filehandle.seek(place)
+                page = tifffile.TiffPage(tiff, index=index)
+                samples = slice(plane[-1], plane[-1] + 1) if self.apart else _all_samples(page)
+                return _colors(_decoded(page, rows, columns, samples), page, self.as_stored)
+        # Decoders raise whatever damaged bytes led them into.
+        except Exception as error:
+            raise UnreadablePicture(f"cannot read {file}: {reading_failure(error)}") from error
+
+
+def _colors(pixels: NDArray[Any], page: Any, as_stored: bool) -> NDArray[Any]:
+    """Return pixels, (h, w, samples), as (h, w) or (h, w, 3 or 4)."""
+    grey = pixels[..., 0] if pixels.shape[2] == 1 else pixels
+    return grey if as_stored and page.samplesperpixel == 1 else tiff_colors(grey, page)
+
+
+def _all_samples(page: Any) -> slice:
+    return slice(0, page.samplesperpixel)
+
+
+def _decoded(page: Any, rows: slice, columns: slice, samples: slice) -> NDArray[Any]:
+    """Decode the tiles or strips that a region touches; (h, w, samples).
+
+    Only of a page whose samples are stored apart, fewer than all samples can be asked for.
+    """
+    region = (rows, columns, samples)
+    pixels = np.full([part.stop - part.start for part in region], page.nodata, page.dtype)
+    file = page.parent.filehandle
+    for index in _segments(page, rows, columns, samples):
+        offset, length = page.dataoffsets[index], page.databytecounts[index]
+        file.seek(offset)
+        data = file.read(length) if length else None
+        segment, place, size = page.decode(data, index, jpegtables=page.jpegtables)
+        if segment is not None:
+            _put(pixels, segment[0], place, size, region)
+    return pixels
+
+
+def _put(
+    pixels: NDArray[Any],
+    segment: NDArray[Any],
+    place: tuple[int, ...],
+    size: tuple[int, ...],
+    region: tuple[slice, slice, slice],
+) -> None:
+    first_row, first_column, first_sample = (part.start for part in region)
+    sample, _, top, left, _ = place
+    height, width = size[1:3]
+    rows = slice(max(top - first_row, 0), top - first_row + height)
+    columns = slice(max(left - first_column, 0), left - first_column + width)
+    samples = slice(sample - first_sample, sample - first_sample + segment.shape[-1])
+    target = pixels[rows, columns, samples]
+    above, before = max(first_row - top, 0), max(first_column - left, 0)
+    target[...] = segment[above : above + target.shape[0], before : before + target.shape[1]]
+
+
+def _segments(page: Any, rows: slice, columns: slice, samples: slice) -> Iterator[int]:
+    height, width = _segment_size(page)
+    across = -(-page.imagewidth // width)
+    down = -(-page.imagelength // height)
+    layers = range(samples.start, samples.stop) if page.planarconfig == 2 else range(1)
+    for layer in layers:
+        for row in range(rows.start // height, -(-rows.stop // height)):
+            for column in range(columns.start // width, -(-columns.stop // width)):
+                yield (layer * down + row) * across + column
+
+
+def _segment_size(page: Any) -> tuple[int, int]:
+    if page.is_tiled:
+        return page.tilelength, page.tilewidth
+    return min(page.rowsperstrip, page.imagelength), page.imagewidth
+
+
+@dataclass(frozen=True, eq=False)
+class TiffMemory:
+    """Planes that lie in a file as they lie in memory, one after the other, uncompressed.
+
+    Attributes
+    ----------
+    file : str
+    offset : int
+        Bytes before the first pixel.
+    shape : tuple of int
+    stored : str
+        The dtype with its order of bytes, as NumPy writes it.
+    """
+
+    file: str
+    offset: int
+    shape: tuple[int, ...]
+    stored: str
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the values that are read."""
+        return np.dtype(self.stored).newbyteorder("=")
+
+    def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
+        """Read a region, one slice an axis."""
+        mapped = np.memmap(self.file, self.stored, "r", self.offset, self.shape)
+        return np.array(mapped[region], self.dtype)
+
+
+def open_tiff(path: Path) -> tuple[da.Array, str, Scale]:
+    """Open the largest level of the picture, or stack, in a TIFF.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    data : dask.array.Array
+        (..., H, W) or (..., H, W, 3 or 4); read when computed.
+    axes : str
+        A letter an axis; s of colours.
+    scale : (dict, dict)
+        As `scale_in_tiff`.
+
+    Raises
+    ------
+    ValueError
+        If it holds several pictures, is cut off, or holds what is no picture.
+    """
+    import tifffile
+
+    with tifffile.TiffFile(path) as tiff:
+        number = picture_number(tiff)
+        series = tiff.series[number]
+        if series.dtype is None or series.dtype.kind not in "buif":
+            raise ValueError(f"it holds {series.dtype}; real numbers are read")
+        if planes_are_missing(tiff, series):
+            raise ValueError("the file is cut off")
+        if _is_memory(tiff, series):
+            data, axes = _mapped(series)
+        else:
+            data, axes = _paged(tiff, series)
+        orientation = int(series.keyframe.tags.valueof("Orientation", default=1))
+        scale, units = scale_in_tiff(tiff, number)
+    kept = {axis: step for axis, step in scale.items() if axis in axes}
+    return _turned(data, axes, orientation), axes, (kept, {axis: units[axis] for axis in kept})
+
+
+def _is_memory(tiff: Any, series: Any) -> bool:
+    page = series.keyframe
+    plain = color_model(page) in ("MINISBLACK", "RGB") or tiff.is_imagej
+    samples = page.samplesperpixel in (1, 3, 4)
+    memory = series.dataoffset is not None and page.bitspersample % 8 == 0
+    return bool(plain and samples and memory and not page.is_tiled)
+
+
+def _mapped(series: Any) -> tuple[da.Array, str]:
+    file = series.keyframe.parent
+    if series.dataoffset + series.nbytes > file.filehandle.size:
+        raise ValueError("the file is cut off")
+    stored = series.dtype.newbyteorder(file.byteorder).str
+    name = str(Path(file.filehandle.path).absolute())
+    reader = TiffMemory(name, int(series.dataoffset), tuple(series.shape), stored)
+    letters = _letters(series.axes)
+    blocks = tuple(
+        size if letter in "xs" else min(size, 1024) if letter == "y" else 1
+        for letter, size in zip(letters, series.shape, strict=True)
+    )
+    data = lazy_array(reader, blocks)
+    order = sorted(range(len(letters)), key=lambda i: "yxs".find(letters[i]))
+    return data.transpose(order), "".join(letters[i] for i in order)
+
+
+def _paged(tiff: Any, series: Any) -> tuple[da.Array, str]:
+    page = series.keyframe
+    apart = page.axes == "SYX" and series.axes.endswith("CYX")
+    page_axes = "YX" if apart else page.axes
+    if page_axes not in _PAGE_AXES or not series.axes.endswith(page_axes):
+        shape = " x ".join(map(str, series.shape))
+        raise ValueError(f"its form {shape} (axes {series.axes}) is not read")
+    as_stored = bool(tiff.is_imagej)
+    samples = 1 if apart else page.samplesperpixel
+    pixel = _colors(np.zeros((1, 1, samples), page.dtype), page, as_stored)
+    planes: tuple[int, ...] = tuple(series.shape[: -len(page_axes)])
+    files, file_of, offsets = _places(series, planes[:-1] if apart else planes)
+    if apart:
+        file_of, offsets = (_for_each_channel(each, planes[-1]) for each in (file_of, offsets))
+    whole = (*planes, page.imagelength, page.imagewidth, *pixel.shape[2:])
+    reader = TiffPages(files, file_of, offsets, whole, pixel.dtype, as_stored, apart)
+    height, width = _segment_size(page)
+    sides = (block_side(height, page.imagelength), block_side(width, page.imagewidth))
+    blocks = (*(1 for _ in planes), *sides, *pixel.shape[2:])
+    letters = _letters(series.axes[: len(planes)] + "YX")
+    return lazy_array(reader, blocks), letters + "s" * len(pixel.shape[2:])
+
+
+def _for_each_channel(pages: NDArray[np.int64], channels: int) -> NDArray[np.int64]:
+    return np.repeat(pages[..., None], channels, axis=-1)
+
+
+def _places(
+    series: Any, planes: tuple[int, ...]
+) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.int64]]:
+    files: dict[str, int] = {}
+    places = []
+    for page in series.pages:
+        if page is None:
+            places.append((0, _NO_PAGE))
+            continue
+        file = page.parent.filehandle
+        if cut_off(page, file.size):
+            raise ValueError("the file is cut off")
+        name = str(Path(file.path).absolute())
+        places.append((files.setdefault(name, len(files)), page.offset))
+    if len(places) != prod(planes):
+        raise ValueError(f"it has {len(places)} pages for {prod(planes)} planes: it is damaged")
+    file_of, offsets = np.array(places, np.int64).T.reshape(2, *planes)
+    return tuple(files), file_of, offsets
+
+
+def _letters(axes: str) -> str:
+    """Return a letter an axis, all different, s for colours only if they are beside rows."""
+    letters = ""
+    given = axes.lower()
+    for at, axis in enumerate(given):
+        colors = axis == "s" and given[at:] in ("s", "syx")
+        wished = "c" if axis == "s" and not colors else axis
+        free = (a for a in "qponmlkjihgfedbavwur" if a not in letters + given)
+        letters += next(free) if wished in letters else wished
+    return letters
+
+
+def _turned(data: da.Array, axes: str, orientation: int) -> da.Array:
+    """Turn planes upright, as a single picture is."""
+    import dask.array as da
+
+    if orientation == 1:
+        return data
+    rows = axes.index("y")
+    first = da.moveaxis(data, (rows, rows + 1), (0, 1))
+    return da.moveaxis(upright(first, orientation), (0, 1), (rows, rows + 1))

@@ -1,0 +1,226 @@
+"""How sure a blur map is: the probability that it is right to half a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
+
+from napari_defocus.core.image import given_array
+from napari_defocus.core.settings import RestorationSettings, check_risk
+from napari_defocus.labeling.data_term import averaged_curve, informed_share
+from napari_defocus.likelihood.candidates import BlurCandidates, as_lazy
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+
+TOLERANCE = 0.5
+"""What counts as right, in px."""
+
+_JUMP_SIDE = 31
+_ROUNDING = 1e-4
+
+_TEMPER = 0.7
+_WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.419, -0.280, 0.709
+"""Fitted by benchmarks/confidence.py, which also says what they are worth."""
+
+_LEAST_ODDS, _LEAST_JUMP = 5e-4, 0.05
+
+_CAUTION_SIGMA = 8.0
+"""px, over which what is taken off a map is smoothed."""
+
+
+def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
+    """Return the probability that each radius of a blur map is within 0.5 px of the true one.
+
+    It comes from the whole curve log p(r): what share of the likelihood, limited in depth and
+    averaged over the neighbouring windows that the map was made coherent with, lies within
+    0.5 px of the map's value. A logistic function of it and of the largest difference that the
+    map has within 31 px (beside a jump, windows see both sides) was fitted once on simulated
+    ramps and layered scenes, so that of the pixels with a confidence of 0.8, 80 % are right.
+    Where the curve is flat, because there is no texture, the confidence is the share of all
+    radii that lie within 0.5 px of the map's value: 0.14 at most for radii up to 8 px.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates or LazyCandidates
+        Of the mode "curve"; the likelihood of the mode "paper" is too sure of itself.
+    blur_map : (H, W) array_like
+        From `label_blur_map` with these candidates, in px.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        In [0, 1]. Of a stack (..., H, W), and a dask array if one came in.
+
+    Raises
+    ------
+    TypeError
+        If `blur_map` holds no real numbers.
+    ValueError
+        If it has another shape than the picture of `candidates`, or values that are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import *
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> candidates = estimate_candidates(picture)
+    >>> confidence_map(candidates, label_blur_map(candidates, picture)).shape
+    (100, 100)
+    """
+    lazy = as_lazy(candidates)
+    if lazy is not None:
+        return lazy.judged(blur_map)["confidence"]
+    radius = checked_map(blur_map, candidates.image_shape)
+    places = _at_windows(candidates, radius)
+    probability = window_confidence(candidates, averaged_curve(candidates), *places)
+    return np.clip(_between_windows(probability, candidates), 0, 1)
+
+
+def cautious_blur_map(
+    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = RestorationSettings.risk
+) -> Float32:
+    """Return how much of the blur of a map is safe to take away.
+
+    Too large a radius makes rings and halos when blur is taken away, too small a one leaves some
+    of it. So the smallest radius is taken that the true one is below with a probability of at
+    most `risk`: the map's own if what the curve log p(r) says of radii more than 0.5 px below
+    it, beside the map's confidence, is not more than that; else a quantile of the curve. Edges
+    without texture, which often fit two radii, are treated as the sharper of them. What is taken
+    off is smoothed over 8 px.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates or LazyCandidates
+        Of the mode "curve".
+    blur_map : (H, W) array_like
+        From `label_blur_map` with these candidates, in px.
+    risk : float, optional
+        From 0, nothing is safe, to 1, the map as it is.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        Scale in px, nowhere above the map: for `restore_all_in_focus`, no measurement.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `confidence_map`, and if `risk` is not in [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import *
+    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
+    >>> candidates = estimate_candidates(picture)
+    >>> blur_map = label_blur_map(candidates, picture)
+    >>> bool((cautious_blur_map(candidates, blur_map) <= blur_map).all())
+    True
+    """
+    check_risk(risk)
+    lazy = as_lazy(candidates)
+    if lazy is not None:
+        return lazy.judged(blur_map, risk)["cautious"]
+    return confidence_and_caution(candidates, blur_map, risk=risk)[1]
+
+
+def confidence_and_caution(
+    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = RestorationSettings.risk
+) -> tuple[Float32, Float32]:
+    """Return `confidence_map` and `cautious_blur_map` for the time of one: see there."""
+    check_risk(risk)
+    radius = checked_map(blur_map, candidates.image_shape)
+    at_windows, jump = _at_windows(candidates, radius)
+    curve = averaged_curve(candidates)
+    sure = window_confidence(candidates, curve, at_windows, jump)
+    excess = np.maximum(at_windows - _safe_at_windows(candidates, curve, at_windows, sure, risk), 0)
+    excess = gaussian_filter(excess, _CAUTION_SIGMA / candidates.stride)
+    return (
+        np.clip(_between_windows(sure, candidates), 0, 1),
+        np.maximum(radius - _between_windows(excess, candidates), 0),
+    )
+
+
+def _safe_at_windows(
+    candidates: BlurCandidates, curve: Float32, radius: Float64, sure: Float64, risk: float
+) -> Float64:
+    """Return the smallest radius that the true one is below with a probability of at most risk."""
+    likelihood = np.exp(_TEMPER * (curve - curve.max(axis=2, keepdims=True)))
+    away = candidates.scales - radius[..., None]
+    likelihood *= np.abs(away) > TOLERANCE + _ROUNDING
+    likelihood *= ((1 - sure) / np.maximum(likelihood.sum(axis=2), _LEAST_ODDS))[..., None]
+    below = np.cumsum(np.where(away < 0, likelihood, 0), axis=2)
+    reached = below >= risk
+    return np.where(reached.any(axis=2), candidates.scales[reached.argmax(axis=2)], radius)
+
+
+def window_confidence(
+    candidates: BlurCandidates, curve: Float32, radius: Float64, jump: Float64
+) -> Float64:
+    """Return the confidence at the windows, (R, C), for the map's values and jumps there."""
+    share, prior, depth = likelihood_share(candidates, curve, radius)
+    odds = np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS))
+    logit = _WEIGHT_OF_MASS * odds + _WEIGHT_OF_JUMP * np.log(jump + _LEAST_JUMP) + _BIAS
+    informed = informed_share(depth)
+    return informed / (1 + np.exp(-logit)) + (1 - informed) * prior
+
+
+def likelihood_share(
+    candidates: BlurCandidates, curve: Float32, radius: Float64
+) -> tuple[Float64, Float64, Float64]:
+    """Return what share of the averaged likelihood agrees with a radius: (R, C) each.
+
+    Returns
+    -------
+    share : ndarray
+        Of the likelihood within `TOLERANCE` of `radius`.
+    prior : ndarray
+        Of the scales.
+    depth : ndarray
+        Of the averaged curve, from its top to its bottom, at most 15.
+    """
+    top = curve.max(axis=2, keepdims=True)
+    likelihood = curve - top
+    depth = -likelihood.min(axis=2)
+    likelihood *= np.float32(_TEMPER)
+    np.exp(likelihood, out=likelihood)
+    away = candidates.scales.astype(np.float32) - radius[..., None]
+    agrees = np.abs(away, out=away) <= TOLERANCE + _ROUNDING
+    share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
+    return share, agrees.mean(axis=2), depth
+
+
+def checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:
+    """Check a blur map against the height and width of its picture, and return it as float32."""
+    radius = given_array("blur_map", blur_map)
+    if radius.dtype.kind not in "uif":
+        raise TypeError(f"blur_map has dtype {radius.dtype}; it takes real numbers")
+    if radius.shape != shape:
+        raise ValueError(f"blur_map has shape {radius.shape}; it takes the picture's, {shape}")
+    if not np.isfinite(radius).all():
+        raise ValueError("blur_map has NaN or infinite values; it takes finite ones")
+    return radius.astype(np.float32)
+
+
+def _at_windows(candidates: BlurCandidates, radius: Float64) -> tuple[Float64, Float64]:
+    """Return a map's value, and its largest difference nearby, at the windows: (R, C) each."""
+    jump = maximum_filter(radius, _JUMP_SIDE) - minimum_filter(radius, _JUMP_SIDE)
+    rows, columns = (
+        np.rint(centers).astype(int)
+        for centers in (candidates.row_centers, candidates.column_centers)
+    )
+    windows = np.ix_(rows, columns)
+    return radius[windows], jump[windows]
+
+
+def _between_windows(values: Float64, candidates: BlurCandidates) -> Float32:
+    """Interpolate from the windows' centres to all pixels."""
+    height, width = candidates.image_shape
+    rows = (np.arange(height) - candidates.row_centers[0]) / candidates.stride
+    columns = (np.arange(width) - candidates.column_centers[0]) / candidates.stride
+    places = np.meshgrid(rows, columns, indexing="ij")
+    return map_coordinates(values.astype(np.float32), places, order=1, mode="nearest")

@@ -1,0 +1,104 @@
+"""Grids of labels, their neighbours, and the same with half as many rows and columns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from napari_defocus.core.threads import in_bands
+
+Float32 = NDArray[np.float32]
+Labels = NDArray[np.int32]
+
+STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""From a node to the half of its 8 neighbours that comes after it: row and column steps."""
+
+_RELAXATION = np.float32(0.4)
+
+
+def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[Float32, Float32]:
+    """Join nodes two by two: costs add up, and so do the weights across the seams.
+
+    Parameters
+    ----------
+    data, weights : ndarray
+        As for `minimize_energy`.
+    agreed : bool, optional
+        Joined nodes pay for the label that they have in common; else each may leave it at the
+        price of its own edges.
+
+    Returns
+    -------
+    data, weights : ndarray
+        The same for half as many rows and columns, rounded up.
+    """
+    rows, columns = (-(-length // 2) for length in data.shape[:2])
+    padded = np.zeros((2 * rows, 2 * columns, data.shape[2]), np.float32)
+    padded[: data.shape[0], : data.shape[1]] = data if agreed else _relaxed(data, weights)
+    joined = padded.reshape(rows, 2, columns, 2, -1).sum(axis=(1, 3))
+    row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
+    return joined, _joined_weights(weights, row_block, column_block)
+
+
+def finer(labels: Labels, rows: int, columns: int) -> Labels:
+    """Return labels of joined nodes for each of so many rows and columns of them."""
+    return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
+
+
+def _relaxed(data: Float32, weights: Float32) -> Float32:
+    """Let each node leave the common label at the price of its own edges.
+
+    Returns min_m D(m) + w |l - m|: joined nodes need not agree on one label, as they cannot
+    where the blur is steep.
+    """
+    relaxed = data.copy()
+    in_bands(_relax_rows, len(data), _RELAXATION * weights.sum(axis=0), relaxed)
+    return relaxed
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _relax_rows(start: int, stop: int, price: Float32, cost: Float32) -> None:
+    _, columns, count = cost.shape
+    for i in range(start, stop):
+        for j in range(columns):
+            for label in range(1, count):
+                cost[i, j, label] = min(cost[i, j, label], cost[i, j, label - 1] + price[i, j])
+            for label in range(count - 2, -1, -1):
+                cost[i, j, label] = min(cost[i, j, label], cost[i, j, label + 1] + price[i, j])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _joined_weights(
+    weights: Float32, row_block: NDArray[np.int64], column_block: NDArray[np.int64]
+) -> Float32:
+    rows, columns = weights.shape[1:]
+    joined = np.zeros((4, row_block[-1] + 1, column_block[-1] + 1), np.float32)
+    for k, (down, right) in enumerate(STEPS):
+        for i in range(rows - down):
+            for j in range(max(0, -right), columns - max(0, right)):
+                join_blocks(
+                    joined,
+                    row_block[i],
+                    column_block[j],
+                    row_block[i + down],
+                    column_block[j + right],
+                    weights[k, i, j],
+                )
+    return joined
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def join_blocks(joined: Float32, i: int, j: int, i_to: int, j_to: int, weight: float) -> None:
+    """Add the weight of one pair of members to the pair of blocks that they belong to."""
+    down, right = i_to - i, j_to - j
+    if down == 0 and right == 1:
+        joined[0, i, j] += weight
+    elif down == 0 and right == -1:
+        joined[0, i, j_to] += weight
+    elif down == 1 and right == 0:
+        joined[1, i, j] += weight
+    elif down == 1 and right == 1:
+        joined[2, i, j] += weight
+    elif down == 1 and right == -1:
+        joined[3, i, j] += weight

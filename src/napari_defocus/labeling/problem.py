@@ -1,0 +1,218 @@
+"""What labelling needs of a picture and its candidates: worked out once, labelled many times."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.core.image import PreparedImage, prepare_image
+from napari_defocus.core.progress import Progress, silent
+from napari_defocus.labeling.data_term import limited_depth, on_own_side
+from napari_defocus.labeling.pixel_refinement import Blocks
+from napari_defocus.likelihood.blur_spectra import LABEL_STEP
+from napari_defocus.likelihood.candidates import BlurCandidates, check_not_lazy
+
+Float32 = NDArray[np.float32]
+Result = TypeVar("Result")
+Ingredients = tuple[BlurCandidates, ArrayLike, tuple[float, float] | None]
+
+KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
+"""The kernel that widens candidates into an artificial likelihood (Section III-B)."""
+
+LIKELIHOOD_FLOOR = 1e-24
+"""The artificial likelihood of scales that no candidate reaches, instead of 0."""
+
+_REMEMBERED = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A picture and its candidates, ready to be labelled with any smoothness and threshold.
+
+    Attributes
+    ----------
+    candidates : BlurCandidates
+        As they were estimated.
+    own : BlurCandidates
+        Each place with what its own side of an edge says.
+    picture : PreparedImage
+    blocks : Blocks
+        Of the windows.
+    """
+
+    candidates: BlurCandidates
+    own: BlurCandidates
+    picture: PreparedImage
+    blocks: Blocks
+
+    @classmethod
+    def of(
+        cls,
+        candidates: BlurCandidates,
+        image: ArrayLike,
+        intensity_range: tuple[float, float] | None = None,
+    ) -> Scene:
+        """Prepare the picture that candidates came from, with their intensities.
+
+        Raises
+        ------
+        TypeError
+            If `image` has no real dtype, or `candidates` are not those of one picture.
+        ValueError
+            If it is no picture, or another one than that of `candidates`.
+        """
+        check_not_lazy(candidates)
+        picture = _picture_of(candidates, image, intensity_range)
+        own = on_own_side(candidates, picture)
+        centers = candidates.row_centers, candidates.column_centers
+        return cls(candidates, own, picture, Blocks.around(*centers, picture.shape))
+
+    @cached_property
+    def color(self) -> Float32:
+        """The colours, divided by the unit of the intensities, see `sigma`."""
+        unit = self.picture.intensities.unit
+        return self.picture.color if unit == 1 else self.picture.color / np.float32(unit)
+
+    def sigma(self, color_sigma: float) -> float:
+        """Return sigma_lambda of (16), a share of the contrast, as `color` has it."""
+        intensities = self.picture.intensities
+        return color_sigma * intensities.contrast / intensities.unit
+
+    @cached_property
+    def _data_term(self) -> Float32:
+        return data_term(self.own)
+
+    def cost(self, curve_weight: np.float32) -> Float32:
+        """Return `data_term`, in the mode "curve" times a weight: (R, C, L)."""
+        if self.candidates.mode == "paper":
+            return self._data_term
+        return curve_weight * self._data_term
+
+
+def _picture_of(
+    candidates: BlurCandidates, image: ArrayLike, intensity_range: tuple[float, float] | None
+) -> PreparedImage:
+    """Prepare the picture that candidates came from, or say that it is another one."""
+    picture = prepare_image(
+        image, candidates.intensities if intensity_range is None else intensity_range
+    )
+    if picture.shape != candidates.image_shape:
+        raise ValueError(
+            f"image is {picture.shape[0]} x {picture.shape[1]} px; these candidates are of a "
+            f"picture of {candidates.image_shape[0]} x {candidates.image_shape[1]} px"
+        )
+    return picture
+
+
+def data_term(candidates: BlurCandidates) -> Float32:
+    """Return D of (14) but for a weight: the cost of each scale at each window, (R, C, L).
+
+    In the mode "paper", -log of the artificial likelihood; in "curve", the limited depth.
+    """
+    if candidates.mode == "paper":
+        return -np.log(artificial_likelihood(candidates)).astype(np.float32)
+    return limited_depth(candidates)
+
+
+def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
+    """Return p~ of Section III-B: the three candidates widened by kappa, sum 1, (R, C, L)."""
+    present = np.isfinite(candidates.radii)
+    known = np.where(present, candidates.log_likelihoods, 0).astype(np.float64)
+    height = np.where(present, np.exp(known - known[..., :1]), 0)
+    label = np.rint(np.where(present, candidates.radii, 0) / LABEL_STEP).astype(int)
+    count, reach = len(candidates.scales), len(KAPPA) // 2
+    likelihood = np.zeros((*label.shape[:2], count + 2 * reach))
+    rows, columns = np.indices(label.shape[:2])
+    for k in range(label.shape[2]):
+        for tap, weight in enumerate(KAPPA):
+            likelihood[rows, columns, label[..., k] + tap] += weight * height[..., k]
+    likelihood = np.maximum(likelihood[..., reach:-reach], LIKELIHOOD_FLOOR)
+    return likelihood / likelihood.sum(axis=2, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseLabels:
+    """Labels of a whole picture's coarser grid, where a part of it lies.
+
+    Attributes
+    ----------
+    labels : (r, c) int32 ndarray
+        r is R / 2, R / 4 or so, rounded up, for the R x C blocks of the part.
+    own : (slice, slice)
+        Which of the part's rows and columns of blocks matter.
+    inner_sides : tuple of bool
+        Whether the picture goes on beyond the part's top, left, bottom and right.
+    """
+
+    labels: NDArray[np.int32]
+    own: tuple[slice, slice]
+    inner_sides: tuple[bool, bool, bool, bool]
+
+    def hold(self, data: Float32, price: float) -> None:
+        """Add a price for each label that the rim of the part differs, to costs (R, C, L)."""
+        rows, columns, count = data.shape
+        factor = 1
+        while -(-rows // factor) > self.labels.shape[0]:
+            factor *= 2
+        fine = self.labels.repeat(factor, 0).repeat(factor, 1)[:rows, :columns]
+        top, left, bottom, right = self.inner_sides
+        held = np.zeros((rows, columns), bool)
+        held[0] |= top
+        held[-1] |= bottom
+        held[:, 0] |= left
+        held[:, -1] |= right
+        away = np.abs(np.arange(count) - fine[held][:, None])
+        data[held] += (price * away).astype(np.float32)
+
+
+class UnknownSceneError(LookupError):
+    """No scene of that name is known here."""
+
+
+_scenes: OrderedDict[str, Scene] = OrderedDict()
+
+
+def with_scene(
+    function: Callable[..., Result],
+    name: str,
+    ingredients: Ingredients | None,
+    *,
+    progress: Progress = silent,
+    **keywords: object,
+) -> Result:
+    """Call a function with a scene that this process remembers.
+
+    For a process that is told the candidates of a picture once, and asked to label them often.
+
+    Parameters
+    ----------
+    function : callable
+        Called as ``function(scene, progress=progress, **keywords)``.
+    name : str
+        Of the scene; the last two are remembered.
+    ingredients : (BlurCandidates, image, intensity_range) or None
+        What `Scene.of` takes; None if the scene should be known.
+    progress : callable, optional
+    **keywords
+        Of the function.
+
+    Raises
+    ------
+    UnknownSceneError
+        If it is not known and no ingredients are given.
+    """
+    scene = _scenes.pop(name, None)
+    if scene is None:
+        if ingredients is None:
+            raise UnknownSceneError(name)
+        scene = Scene.of(*ingredients)
+    _scenes[name] = scene
+    while len(_scenes) > _REMEMBERED:
+        _scenes.popitem(last=False)
+    return function(scene, progress=progress, **keywords)

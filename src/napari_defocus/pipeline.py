@@ -1,0 +1,350 @@
+"""The blur of a picture as commands find it, measured or read from a file, and tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import napari_defocus
+from napari_defocus.core.progress import Progress, within
+from napari_defocus.core.settings import CONFIDENT, MapSettings, psf_of, radius_per_scale
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_defocus.core.intensity import Intensities
+    from napari_defocus.likelihood.candidates import BlurCandidates
+    from napari_defocus.likelihood.noise import ShotNoise
+    from napari_defocus.psf.families import PSFFamily
+
+CANDIDATES_SHARE = 0.7
+"""Roughly how much of the time goes into the candidates; for the progress bar only."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measurement:
+    """A blur map, and what is known about it.
+
+    Attributes
+    ----------
+    blur_map : (H, W) float32 ndarray
+        Scale in px; NaN where it is not known, which only maps that are read have.
+    confidence : (H, W) float32 ndarray or None
+        None if the map was read and nothing else.
+    psf : PSFFamily
+    noise_variance : float or None
+        None if it was neither given nor measured.
+    shot_noise : ShotNoise or None
+    map_file, confidence_file : Path or None
+        What was read instead of measuring.
+    candidates : BlurCandidates or None
+        What the map was made of, if it was measured.
+    intensities : Intensities or None
+        What the noise variance is measured in, if it is known.
+    """
+
+    blur_map: NDArray[Any]
+    confidence: NDArray[Any] | None
+    psf: PSFFamily
+    noise_variance: float | None
+    shot_noise: ShotNoise | None = None
+    map_file: Path | None = None
+    confidence_file: Path | None = None
+    candidates: BlurCandidates | None = None
+    intensities: Intensities | None = None
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Height and width of the picture, in px."""
+        return self.blur_map.shape[0], self.blur_map.shape[1]
+
+    def cautious(self, risk: float) -> NDArray[Any]:
+        """Return how much of the map is safe to take away; all of it if it was read."""
+        if self.candidates is None:
+            return self.blur_map
+        return napari_defocus.cautious_blur_map(self.candidates, self.blur_map, risk=risk)
+
+    def trusted(self, min_confidence: float) -> NDArray[Any]:
+        """Return the map with NaN where the confidence is lower."""
+        import numpy as np
+
+        if self.confidence is None:
+            return self.blur_map
+        return np.where(self.confidence < min_confidence, np.float32(np.nan), self.blur_map)
+
+
+def find_blur(
+    picture: NDArray[Any],
+    settings: MapSettings,
+    intensity_range: tuple[float, float] | None,
+    map_file: Path | None,
+    confidence_file: Path | None,
+    progress: Progress,
+) -> Measurement:
+    """Return the map that is given as a file, or else measure it."""
+    if map_file is not None:
+        return read_map(map_file, confidence_file, settings, picture.shape[:2])
+    if confidence_file is not None:
+        raise ValueError(f"map_confidence is {confidence_file}; it takes the map that it is of too")
+    return measure_map(picture, settings, intensity_range, progress)
+
+
+def measure_map(
+    picture: NDArray[Any],
+    settings: MapSettings,
+    intensity_range: tuple[float, float] | None,
+    progress: Progress,
+) -> Measurement:
+    """Estimate the candidates, and the map and its confidence from them."""
+    first, second = shares(progress)
+    candidates = measure_candidates(picture, settings, intensity_range, first)
+    return label_map(candidates, picture, settings, intensity_range, second)
+
+
+def shares(progress: Progress) -> tuple[Progress, Progress]:
+    """Return the callbacks for the candidates and for what is made of them."""
+    return within(progress, 0.0, CANDIDATES_SHARE), within(progress, CANDIDATES_SHARE, 1.0)
+
+
+def measure_candidates(
+    picture: NDArray[Any],
+    settings: MapSettings,
+    intensity_range: tuple[float, float] | None,
+    progress: Progress,
+) -> BlurCandidates:
+    """Estimate the candidates, and shot noise if that is asked for."""
+    from napari_defocus.compilation import compile_kernels
+
+    psf = settings.family()
+    compile_kernels(progress)
+    noise: float | ShotNoise | None = settings.noise_variance
+    if settings.shot_noise:
+        progress("Measuring the noise", 0.0)
+        noise = napari_defocus.estimate_shot_noise(
+            picture,
+            linearize=settings.linearize,
+            intensity_range=intensity_range,
+        )
+    return napari_defocus.estimate_candidates(
+        picture,
+        psf=psf,
+        noise_variance=noise,
+        window=settings.window,
+        stride=settings.stride,
+        mode=settings.mode,
+        linearize=settings.linearize,
+        intensity_range=intensity_range,
+        progress=progress,
+    )
+
+
+def label_map(
+    candidates: BlurCandidates,
+    picture: NDArray[Any],
+    settings: MapSettings,
+    intensity_range: tuple[float, float] | None,
+    progress: Progress,
+) -> Measurement:
+    """Make the coherent map of candidates, and its confidence."""
+    blur_map = napari_defocus.label_blur_map(
+        candidates,
+        picture,
+        smoothness=settings.smoothness,
+        color_sigma=settings.color_sigma,
+        intensity_range=intensity_range,
+        progress=progress,
+    )
+    return Measurement(
+        blur_map=blur_map,
+        confidence=napari_defocus.confidence_map(candidates, blur_map),
+        psf=candidates.psf,
+        noise_variance=candidates.noise_variance,
+        shot_noise=candidates.shot_noise,
+        candidates=candidates,
+        intensities=candidates.intensities,
+    )
+
+
+def intensities_of(
+    picture: NDArray[Any], intensity_range: tuple[float, float] | None
+) -> Intensities:
+    """Return the intensities of a picture whose blur was not measured."""
+    from napari_defocus.core.image import prepare_image
+
+    return prepare_image(picture, intensity_range).intensities
+
+
+def psf_for(text: str | None, map_file: Path | None) -> str:
+    """Return the PSF that is asked for, else that of the map, else the usual one."""
+    if text is not None:
+        return text
+    if map_file is None:
+        return MapSettings.psf
+    from napari_defocus.io.encoders import settings_in_tiff
+
+    return str(settings_in_tiff(map_file).get("psf", MapSettings.psf))
+
+
+def read_map(
+    path: Path, confidence_path: Path | None, settings: MapSettings, shape: tuple[int, ...]
+) -> Measurement:
+    """Read a map that `map` wrote, for a picture of a height and width."""
+    import numpy as np
+
+    scales = _read_values(path, shape, "a blur map: values in px, as map writes them (.tif)")
+    known = scales[~np.isnan(scales)]
+    if not known.size:
+        raise ValueError(f"{path} has nothing but NaN; it takes a map that is known somewhere")
+    if known.min() < 0 or np.isinf(known).any():
+        raise ValueError(
+            f"{path} has values from {known.min():g} to {known.max():g}; "
+            "it takes finite ones from 0 px up, NaN unknown"
+        )
+    confidence = None
+    if confidence_path is not None:
+        confidence = _read_values(
+            confidence_path, shape, "a confidence: values as map --confidence writes them (.tif)"
+        )
+        if not ((confidence >= 0) & (confidence <= 1)).all():
+            raise ValueError(f"{confidence_path} has values that are not from 0 to 1")
+    psf = _family_up_to(float(known.max()), settings)
+    if known.max() > psf.max_scale:
+        raise ValueError(
+            f"{path} has values up to {known.max():g} px; {settings.psf} goes up to "
+            f"{psf.max_scale:g} px"
+        )
+    return Measurement(
+        blur_map=scales,
+        confidence=confidence,
+        psf=psf,
+        noise_variance=settings.noise_variance,
+        map_file=path,
+        confidence_file=confidence_path,
+    )
+
+
+def _read_values(path: Path, shape: tuple[int, ...], what: str) -> NDArray[Any]:
+    import numpy as np
+
+    from napari_defocus.io.pictures import read_picture
+
+    values = read_picture(path)
+    if values.ndim != 2 or values.dtype.kind != "f":
+        raise ValueError(f"{path} holds no {what.removeprefix('a ')}")
+    if values.shape != shape:
+        height, width = values.shape
+        raise ValueError(
+            f"{path} has {width} x {height} px; it takes as many as the picture has, "
+            f"{shape[1]} x {shape[0]} px"
+        )
+    return values.astype(np.float32)
+
+
+def _family_up_to(largest: float, settings: MapSettings) -> PSFFamily:
+    """Return the family of the settings, with a domain that goes up to a scale if it can."""
+    largest_radius = radius_per_scale(settings.family()) * largest
+    return psf_of(settings.psf, max(settings.max_radius, largest_radius))
+
+
+def beside(image: Path, ending: str) -> Path:
+    """Return the path of a result that is not named."""
+    return image.parent / f"{image.stem}{ending}"
+
+
+def used(found: BlurCandidates | Measurement, settings: MapSettings) -> dict[str, Any]:
+    """Return what files say about how the blur was found."""
+    measured = asdict(settings) | {"noise_variance": found.noise_variance}
+    if not isinstance(found, Measurement) or found.map_file is None:
+        return measured
+    kept = {name: measured[name] for name in ("psf", "linearize", "noise_variance")}
+    return kept | file_facts(found)
+
+
+def picture_facts(
+    image: Path,
+    outputs: list[Path],
+    found: BlurCandidates | Measurement,
+    settings: MapSettings,
+) -> dict[str, Any]:
+    """Return what every command tells about a picture."""
+    from napari_defocus.io.pictures import told_choice_in
+
+    height, width = found.image_shape
+    variance, intensities = found.noise_variance, found.intensities
+    levels = 255.0 if intensities is None else intensities.grey_levels
+    return {
+        "image": str(image),
+        "taken": told_choice_in(image),
+        "width": width,
+        "height": height,
+        "psf": settings.psf,
+        "scale": found.psf.scale_name,
+        "noise_variance": variance,
+        "noise_sigma_grey_levels": None if variance is None else levels * variance**0.5,
+        "grey_levels": levels,
+        **intensity_facts(intensities),
+        "shot_noise": asdict(found.shot_noise) if found.shot_noise else None,
+        "files": [str(path) for path in outputs],
+    }
+
+
+def intensity_facts(intensities: Intensities | None) -> dict[str, Any]:
+    """Return what is told about intensities, in words, too; nothing if they are not known."""
+    return {} if intensities is None else intensities.facts() | {"intensities": str(intensities)}
+
+
+def file_facts(found: Measurement) -> dict[str, Any]:
+    """Return what was read instead of measuring; None if it was not."""
+    files = {"map": found.map_file, "map_confidence": found.confidence_file}
+    return {name: path and str(path) for name, path in files.items()}
+
+
+def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]:
+    """Return what is told about a map."""
+    import numpy as np
+
+    low, median, high = np.nanpercentile(found.blur_map, [5, 50, 95])
+    facts = {
+        "blur_median_px": float(median),
+        "blur_p5_px": float(low),
+        "blur_p95_px": float(high),
+        "left_out_percent": 100.0 * float(np.isnan(found.trusted(min_confidence)).mean()),
+    }
+    if found.confidence is not None:
+        facts["confidence_median"] = float(np.median(found.confidence))
+        facts["confident_percent"] = 100.0 * float((found.confidence >= CONFIDENT).mean())
+    return facts
+
+
+def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Say what `picture_facts`, `file_facts` and `map_facts` are."""
+    yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
+    if facts["taken"]:
+        yield f"taken        {facts['taken']}"
+    yield f"lens         {facts['psf']}, scale: {facts['scale']}"
+    if facts.get("intensities"):
+        yield f"intensities  {facts['intensities']}"
+    if facts["noise_variance"] is not None:
+        variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
+        levels = f"{facts['grey_levels']:.6g} grey levels"
+        yield f"noise        variance {variance:.2g} (sigma {sigma:.3g} of {levels})"
+    if facts["shot_noise"]:
+        read, gain = facts["shot_noise"]["read_variance"], facts["shot_noise"]["gain"]
+        yield f"             variance {read:.2g} + {gain:.2g} x intensity"
+    if facts.get("map"):
+        yield f"map          {facts['map']}"
+    if "blur_median_px" in facts:
+        low, high = facts["blur_p5_px"], facts["blur_p95_px"]
+        yield (
+            f"blur         median {facts['blur_median_px']:.1f} px, "
+            f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
+        )
+    if "confidence_median" in facts:
+        yield (
+            f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
+            f"{facts['confident_percent']:.1f} % of the picture"
+        )
+    if facts.get("left_out_percent"):
+        yield f"left out     {facts['left_out_percent']:.1f} % of the picture"

@@ -1,0 +1,497 @@
+"""PSF families: point-spread functions indexed by one scale, in px of the input picture.
+
+Kernels hold what falls on each pixel, not samples at the pixels' centres: the shape's exact
+area, or the exact integral of its profile. All are continuous in the scale and become a point
+where the shape fits into one pixel: no picture can tell it from a point there, so all such
+scales have the same likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from functools import cached_property
+from numbers import Integral, Real
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erf, gammaincinv, gammaln
+
+from napari_defocus.core.settings import MapSettings, check_real
+
+Float64 = NDArray[np.floating]
+
+_GAUSSIAN_CUT = 4.0
+_TAIL = 1e-4
+_NODES = 128
+_ROUNDING = 1e-9
+_LARGEST_SCALE = 10_000
+"""px; the kernel of a disc of that radius takes 3 GB."""
+
+
+@runtime_checkable
+class PSFFamily(Hashable, Protocol):
+    """What every PSF family offers.
+
+    A family must be hashable and equal to another one that makes the same kernels: spectra
+    are kept for the families that were used last.
+    """
+
+    @property
+    def max_scale(self) -> float:
+        """Upper end of the domain [0, max_scale] of scales, in px."""
+
+    @property
+    def scale_name(self) -> str:
+        """What the scale measures, with its unit, such as "radius (px)"."""
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Return the kernel of one scale: (K, K), K odd, non-negative, sum 1."""
+
+
+@dataclass(frozen=True)
+class Disc:
+    """Uniform disc, the PSF of an ideal lens with a round aperture; its scale is the radius.
+
+    A disc of a radius up to 0.5 px is a point.
+
+    Parameters
+    ----------
+    max_radius : float
+        Largest radius that is looked for, in px.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `max_radius` is no number, is not finite or below 1 px.
+
+    Examples
+    --------
+    >>> Disc().kernel(1.0).round(3)
+    array([[0.025, 0.145, 0.025],
+           [0.145, 0.318, 0.145],
+           [0.025, 0.145, 0.025]])
+    """
+
+    max_radius: float = MapSettings.max_radius
+    scale_name: ClassVar[str] = "radius (px)"
+
+    def __post_init__(self) -> None:
+        check_largest("max_radius", self.max_radius)
+
+    @property
+    def max_scale(self) -> float:
+        """The largest radius, in px."""
+        return self.max_radius
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Return the area-coverage disc of radius `scale` (px), normalised to sum 1."""
+        scale = checked_scale(scale)
+        return _from_quadrant(_disc_area(corners_to(scale), max(scale, 0.5)))
+
+
+@dataclass(frozen=True)
+class Annulus:
+    """Uniform ring, the PSF of a mirror lens; its scale is the outer radius.
+
+    Parameters
+    ----------
+    obstruction : float
+        The inner radius over the outer one, from 0 (a disc) to below 1.
+    max_radius : float
+        Largest outer radius that is looked for, in px.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `obstruction` is not in [0, 1) or `max_radius` not finite or below 1 px.
+
+    Examples
+    --------
+    >>> Annulus(0.5).kernel(2.0).round(2)[2]
+    array([0.05, 0.06, 0.  , 0.06, 0.05])
+    """
+
+    obstruction: float = 0.5
+    max_radius: float = MapSettings.max_radius
+    scale_name: ClassVar[str] = "outer radius (px)"
+
+    def __post_init__(self) -> None:
+        check_number(
+            "obstruction", self.obstruction, lambda o: 0 <= o < 1, "a number from 0 to below 1"
+        )
+        check_largest("max_radius", self.max_radius)
+
+    @property
+    def max_scale(self) -> float:
+        """The largest outer radius, in px."""
+        return self.max_radius
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Return the area-coverage ring of outer radius `scale` (px), normalised to sum 1."""
+        scale = checked_scale(scale)
+        outer = max(scale, 0.5)
+        area = _disc_area(corners_to(outer), outer)
+        inner = self.obstruction * outer
+        if inner > 0:
+            area -= _disc_area(corners_to(outer), inner)
+        return _from_quadrant(area)
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """Regular polygon, the PSF of a leaf shutter (Section III-A).
+
+    Its scale is the radius of the disc of the same area, so that px mean the same as with
+    `Disc`; the corners lie sqrt(2 pi / (n sin(2 pi / n))) times as far out, 1.10 times for 6
+    blades. With an odd number of blades, the PSF in front of the focal plane is the one behind
+    it turned by 180 degrees; their spectra are the same.
+
+    Parameters
+    ----------
+    blades : int
+        Number of corners, 3 or more.
+    rotation : float
+        Direction of one corner from the centre, in degrees: 0 points right along the columns,
+        positive turns counter-clockwise as the picture is shown, with row 0 on top.
+    max_radius : float
+        Largest scale that is looked for, in px.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `blades` is no whole number from 3 up, `rotation` is not finite or `max_radius` not
+        finite or below 1 px.
+
+    Examples
+    --------
+    >>> Polygon(3, rotation=90).kernel(1.5).round(2)
+    array([[0.  , 0.  , 0.06, 0.  , 0.  ],
+           [0.  , 0.04, 0.14, 0.04, 0.  ],
+           [0.  , 0.12, 0.14, 0.12, 0.  ],
+           [0.03, 0.09, 0.09, 0.09, 0.03],
+           [0.  , 0.  , 0.  , 0.  , 0.  ]])
+    """
+
+    blades: int = 6
+    rotation: float = 0.0
+    max_radius: float = MapSettings.max_radius
+    scale_name: ClassVar[str] = "equal-area radius (px)"
+
+    def __post_init__(self) -> None:
+        check_number("blades", self.blades, lambda n: n >= 3, "a whole number from 3 up", Integral)
+        check_number("rotation", self.rotation, math.isfinite, "a finite number of degrees")
+        check_largest("max_radius", self.max_radius)
+
+    @property
+    def max_scale(self) -> float:
+        """The largest scale, in px."""
+        return self.max_radius
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Return the area-coverage polygon as large as a disc of radius `scale` (px), sum 1."""
+        scale = checked_scale(scale)
+        turn = 2 * np.pi / self.blades
+        radius = scale * np.sqrt(turn / np.sin(turn))
+        if radius <= 0.5:
+            return np.ones((1, 1))
+        angle = np.deg2rad(float(self.rotation) % 360) + turn * np.arange(self.blades)
+        half = corners_to(radius)
+        corners = np.concatenate([-half[::-1], half])
+        below = _polygon_area_below(-radius * np.sin(angle), radius * np.cos(angle), corners)
+        return from_cumulative(below)
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Gaussian, for optics that diffraction and aberrations round off; its scale is sigma.
+
+    Cut off at 4 sigma.
+
+    Parameters
+    ----------
+    max_sigma : float
+        Largest standard deviation that is looked for, in px.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `max_sigma` is no number, is not finite or below 1 px.
+
+    Examples
+    --------
+    >>> Gaussian().kernel(0.3).round(3)
+    array([[0.002, 0.043, 0.002],
+           [0.043, 0.818, 0.043],
+           [0.002, 0.043, 0.002]])
+    """
+
+    max_sigma: float = MapSettings.max_radius / 2
+    scale_name: ClassVar[str] = "standard deviation (px)"
+
+    def __post_init__(self) -> None:
+        check_largest("max_sigma", self.max_sigma)
+
+    @property
+    def max_scale(self) -> float:
+        """The largest standard deviation, in px."""
+        return self.max_sigma
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Return the Gaussian of sigma `scale` (px), integrated over pixels, sum 1."""
+        scale = checked_scale(scale)
+        reach = _GAUSSIAN_CUT * scale
+        half = np.minimum(corners_to(reach), reach) if reach > 0.5 else np.ones(1)
+        below = erf(np.concatenate([-half[::-1], half]) / (np.sqrt(2) * max(scale, 0.1)))
+        profile = np.diff(below) / (below[-1] - below[0])
+        return np.multiply.outer(profile, profile)
+
+
+@dataclass(frozen=True)
+class GeneralizedGaussian:
+    """The profile exp(-(rho / alpha)^exponent); its scale is the standard deviation on an axis.
+
+    Exponent 2 is the Gaussian; the larger it is, the steeper the edge; infinity is a disc of
+    radius 2 sigma. alpha = 2 sigma sqrt(Gamma(1 + 2/exponent) / Gamma(1 + 4/exponent)) in terms
+    of the scale sigma. A profile that falls everywhere is a mixture of discs: here
+    t = (R / alpha)^exponent of their radii R has a gamma distribution of shape 1 + 2/exponent,
+    of which the last 1e-4 is left out.
+
+    Parameters
+    ----------
+    exponent : float
+        From 1 up to infinity.
+    max_sigma : float
+        Largest standard deviation that is looked for, in px.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `exponent` is no number from 1 up or `max_sigma` not finite or below 1 px.
+
+    Examples
+    --------
+    >>> GeneralizedGaussian(8.0).kernel(0.4).round(3)
+    array([[0.006, 0.112, 0.006],
+           [0.112, 0.527, 0.112],
+           [0.006, 0.112, 0.006]])
+    """
+
+    exponent: float = 2.0
+    max_sigma: float = MapSettings.max_radius / 2
+    scale_name: ClassVar[str] = "standard deviation (px)"
+
+    def __post_init__(self) -> None:
+        check_number("exponent", self.exponent, lambda e: e >= 1, "a number from 1 up")
+        check_largest("max_sigma", self.max_sigma)
+
+    @property
+    def max_scale(self) -> float:
+        """The largest standard deviation, in px."""
+        return self.max_sigma
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Return the profile of sigma `scale` (px), integrated over pixels, sum 1."""
+        scale = checked_scale(scale)
+        radii, weights = self._discs
+        radii = radii * scale
+        if radii[-1] <= 0.5:
+            return np.ones((1, 1))
+        areas = _disc_area(corners_to(radii[-1]), radii[:, None, None])
+        return _from_quadrant(np.einsum("k,kij->ij", weights / radii**2, areas))
+
+    @cached_property
+    def _discs(self) -> tuple[Float64, Float64]:
+        """Radii, increasing, and weights of the discs whose sum the profile of sigma 1 is."""
+        shape = 1 + 2 / self.exponent
+        log_square = gammaln(shape) - gammaln(1 + 4 / self.exponent)
+        low, high = gammaincinv(shape, [_TAIL**2, 1 - _TAIL])
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        t = low + (high - low) * (nodes + 1) / 2
+        weights = weights * np.exp((shape - 1) * np.log(t) - t)
+        return 2 * np.exp(log_square / 2) * t ** (1 / self.exponent), weights / weights.sum()
+
+
+@dataclass(frozen=True)
+class KernelFunction:
+    """A family from a function of your own.
+
+    Scale 0 is a point; the function is asked for scales above 0 only.
+
+    Parameters
+    ----------
+    function : callable
+        Takes a scale in px, returns a (K, K) array_like, K odd, finite and non-negative, of any
+        positive sum. It must change continuously with the scale.
+    max_scale : float
+        Largest scale that is looked for, in px.
+    scale_name : str
+        What the scale measures, with its unit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `function` cannot be called or `max_scale` is not finite or below 1 px; by `kernel`,
+        if `function` returns something else.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> def motion(length):
+    ...     inside = np.clip(length / 2 + 0.5 - np.abs(np.arange(-5, 6)), 0, 1)
+    ...     return np.outer(np.arange(-5, 6) == 0, inside)
+    >>> KernelFunction(motion, scale_name="length (px)").kernel(3.0)[5, 3:8].round(3)
+    array([0.   , 0.333, 0.333, 0.333, 0.   ])
+    """
+
+    function: Callable[[float], ArrayLike]
+    max_scale: float = MapSettings.max_radius
+    scale_name: str = "scale (px)"
+
+    def __post_init__(self) -> None:
+        if not (callable(self.function) and isinstance(self.function, Hashable)):
+            raise TypeError(f"function is {self.function!r}; it takes a function of the scale")
+        check_largest("max_scale", self.max_scale)
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Return what the function gives at `scale` (px), normalised to sum 1."""
+        scale = checked_scale(scale)
+        if scale <= 0:
+            return np.ones((1, 1))
+        return checked_kernels(
+            self.function(scale), 2, f"psf function returned at {scale:g} px", "a kernel"
+        )
+
+
+def as_family(psf: PSFFamily | Callable[[float], ArrayLike]) -> PSFFamily:
+    """Return a PSF family as it is, and a function of the scale as a `KernelFunction`.
+
+    Raises
+    ------
+    TypeError
+        If `psf` is neither.
+
+    Examples
+    --------
+    >>> as_family(Disc())
+    Disc(max_radius=8.0)
+    """
+    if not isinstance(psf, type):
+        if isinstance(psf, PSFFamily):
+            return psf
+        if callable(psf):
+            return KernelFunction(psf)
+    raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
+
+
+def check_number(
+    name: str, value: Any, fits: Callable[[Any], bool], takes: str, kind: type = Real
+) -> None:
+    """Check one parameter of a family: its type, and whether it fits."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} is {value!r}; it takes {takes}")
+    check_real(name, value, takes)
+    if not fits(value):
+        raise ValueError(f"{name} is {value}; it takes {takes}")
+
+
+def checked_scale(scale: float) -> float:
+    """Check the scale that a kernel is asked for, in px; what is below 0 is a point, as 0 is."""
+    takes = f"a number of px up to {_LARGEST_SCALE}"
+    check_number("scale", scale, lambda s: -math.inf < s <= _LARGEST_SCALE, takes)
+    return max(float(scale), 0.0)
+
+
+def check_largest(name: str, value: float) -> None:
+    """Check the largest scale of a family, in px."""
+    check_number(name, value, lambda v: 1 <= v < math.inf, "a number from 1 px up")
+
+
+def checked_kernels(kernels: ArrayLike, ndim: int, found: str, takes: str) -> NDArray[np.float64]:
+    """Return kernels normalised to sum 1; `found` and `takes` begin and end the errors."""
+    array = real_array(kernels, found)
+    square = array.ndim == ndim and array.shape[-1] == array.shape[-2]
+    if not square or array.shape[-1] % 2 == 0 or array.size == 0:
+        raise ValueError(
+            f"{found} an array of shape {array.shape}; it takes {takes}, (K, K) with K odd"
+        )
+    # Kernels that went through an FFT have zeros of either sign.
+    if not (np.isfinite(array).all() and array.min() >= -_ROUNDING * array.max()):
+        raise ValueError(
+            f"{found} values from {array.min()} to {array.max()}; it takes finite ones from 0 up"
+        )
+    array = np.maximum(array, 0)
+    sums = array.sum(axis=(-2, -1), keepdims=True)
+    if not (sums > 0).all():
+        raise ValueError(f"{found} only zeros; it takes a positive sum")
+    return array / sums
+
+
+def real_array(values: ArrayLike, found: str) -> NDArray[np.float64]:
+    """Return values as real numbers; `found` begins the error if they are none."""
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise ValueError(f"{found} no array: {error}") from None
+    if array.dtype.kind not in "buif":
+        raise TypeError(f"{found} {array.dtype} values; it takes real numbers")
+    return array.astype(np.float64)
+
+
+def corners_to(reach: float) -> Float64:
+    """Return 0.5, 1.5, ... px: the corners from the middle pixel's to the first past `reach`."""
+    return np.arange(max(math.ceil(reach - 0.5), 0) + 1) + 0.5
+
+
+def _from_quadrant(area: Float64) -> NDArray[np.float64]:
+    """Return the kernel whose sums from the centre to the corners right below are given."""
+    return from_cumulative(np.block([[area[::-1, ::-1], -area[::-1]], [-area[:, ::-1], area]]))
+
+
+def from_cumulative(below: Float64) -> NDArray[np.float64]:
+    """Return the kernel whose sums up to each corner, but for a constant, are given."""
+    covered = np.maximum(np.diff(np.diff(below, axis=0), axis=1), 0)
+    return covered / covered.sum()
+
+
+def _disc_area(corners: Float64, radius: float | Float64) -> Float64:
+    """Return the area of a disc between its centre and each pair of corners: (..., C, C).
+
+    Parameters
+    ----------
+    corners : (C,) float64 ndarray
+        Positive, in px.
+    radius : float or (..., 1, 1) float64 ndarray
+    """
+    down, across = np.minimum(corners[:, None], radius), np.minimum(corners, radius)
+
+    def half_chord(u: Float64) -> Float64:
+        return np.sqrt((radius - u) * (radius + u))
+
+    def under_arc(u: Float64) -> Float64:
+        return 0.5 * (u * half_chord(u) + radius**2 * np.arcsin(u / radius))
+
+    flat = np.minimum(half_chord(down), across)
+    return down * flat + under_arc(across) - under_arc(flat)
+
+
+def _polygon_area_below(row: Float64, column: Float64, corners: Float64) -> Float64:
+    """Return the area of a polygon up to each row and column, but for a constant: (C, C).
+
+    By the divergence theorem: the integral of min(row, limit) over the columns, along all
+    edges. The sign of the area is that of the sense in which the polygon is run through.
+    """
+    row0, row1 = row[:, None, None], np.roll(row, -1)[:, None, None]
+    column0, column1 = column[:, None, None], np.roll(column, -1)[:, None, None]
+    width = column1 - column0
+    slope = np.divide(row1 - row0, width, out=np.zeros_like(width), where=width != 0)
+    start, stop = np.minimum(column0, corners), np.minimum(column1, corners)
+    # Rows relative to the limit: over a closed line, the limit itself cancels.
+    row_start = row0 + slope * (start - column0) - corners[:, None]
+    row_stop = row0 + slope * (stop - column0) - corners[:, None]
+    inside = np.minimum(row_start, 0) + np.minimum(row_stop, 0)
+    span = np.abs(row_start) + np.abs(row_stop)
+    mean = inside**2 / (2 * np.maximum(span, np.finfo(float).tiny))
+    return np.sum((start - stop) * mean, axis=0)

@@ -1,0 +1,102 @@
+"""PSF families as one line of text, for the terminal, forms and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import astuple, fields, replace
+from typing import Any
+
+from napari_defocus.psf.families import (
+    Annulus,
+    Disc,
+    Gaussian,
+    GeneralizedGaussian,
+    Polygon,
+    PSFFamily,
+)
+from napari_defocus.psf.measured import MeasuredPSF
+
+_Written = Disc | Gaussian | GeneralizedGaussian | Polygon | Annulus
+
+_SPELLED: dict[str, tuple[Callable[..., _Written], tuple[Callable[[str], float], ...]]] = {
+    "disc": (Disc, ()),
+    "gaussian": (Gaussian, ()),
+    "generalized-gaussian": (GeneralizedGaussian, (float,)),
+    "polygon": (Polygon, (int, float)),
+    "annulus": (Annulus, (float,)),
+}
+
+PSF_TEXTS = (
+    "disc, gaussian, generalized-gaussian:EXPONENT, polygon:BLADES[:ROTATION], "
+    "annulus:OBSTRUCTION, or the path of a saved .npz"
+)
+"""What `psf_from_text` takes, for help and errors."""
+
+
+def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
+    """Make a PSF family from a line of text.
+
+    Parameters
+    ----------
+    text : str
+        "disc", "gaussian", "generalized-gaussian:1.5", "polygon:6", "polygon:6:15" (rotation in
+        degrees), "annulus:0.5", or the path of a .npz file that `MeasuredPSF.save` wrote.
+        Parameters that are left out have the family's defaults.
+    max_scale : float, optional
+        Largest scale that is looked for, in px; by default the family's own.
+
+    Returns
+    -------
+    PSFFamily
+
+    Raises
+    ------
+    TypeError
+        If it is no text.
+    ValueError
+        If the text says none of these, a parameter is out of its range, or the file cannot be
+        read.
+
+    Examples
+    --------
+    >>> psf_from_text("polygon:6:15", max_scale=5.0)
+    Polygon(blades=6, rotation=15.0, max_radius=5.0)
+    """
+    if not isinstance(text, str):
+        raise TypeError(f"text is {text!r}; it takes {PSF_TEXTS}")
+    if text.lower().endswith(".npz"):
+        measured = MeasuredPSF.load(text)
+        return measured if max_scale is None else replace(measured, max_scale=max_scale)
+    name, *parts = text.strip().lower().split(":")
+    try:
+        family, kinds = _SPELLED[name]
+        values = [kind(part) for kind, part in zip(kinds, parts, strict=False)]
+        if len(parts) > len(kinds):
+            raise ValueError
+    except (KeyError, ValueError):
+        raise ValueError(f"psf is {text!r}; it takes {PSF_TEXTS}") from None
+    psf = family(*values)
+    if max_scale is None:
+        return psf
+    largest: dict[str, Any] = {fields(psf)[-1].name: max_scale}
+    return replace(psf, **largest)
+
+
+def psf_text(psf: PSFFamily) -> str:
+    """Write a family as `psf_from_text` reads it, without its largest scale.
+
+    Raises
+    ------
+    ValueError
+        If the family cannot be written as text: measured ones, functions and your own.
+
+    Examples
+    --------
+    >>> psf_text(Polygon(5, rotation=18.0))
+    'polygon:5:18'
+    """
+    for name, (family, _) in _SPELLED.items():
+        if isinstance(psf, _Written) and type(psf) is family:
+            values = (str(value).removesuffix(".0") for value in astuple(psf)[:-1])
+            return ":".join([name, *values])
+    raise ValueError(f"psf is {psf!r}, which has no text form; it takes {PSF_TEXTS}")

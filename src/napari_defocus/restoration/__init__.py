@@ -1,0 +1,1 @@
+"""The blur taken away, (19), and another focus given."""

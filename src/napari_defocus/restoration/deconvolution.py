@@ -1,0 +1,261 @@
+"""Deconvolution with the PSF of every pixel's own scale, (19).
+
+What is minimised over pictures f, with the blur A of (1), the picture g and weights w, is
+
+    sum_x w_x |(A f)[x] - g[x]|^2 + lambda sum_x sqrt(|grad f[x]|^2 + eps^2),
+
+where |grad f|^2 is the sum over both directions and all channels: edges of the channels lie at
+the same places. Each round replaces the second sum by the quadratic that touches it from above
+(half-quadratic regularisation: Geman and Reynolds, IEEE PAMI 14(3), 1992; Vogel and Oman, SIAM
+J. Sci. Comput. 17(1), 1996) and goes some steps of conjugate gradients towards its minimum.
+They are preconditioned by Wiener-like filters on overlapping tiles, each with its own scale:
+the blur is nearly constant in a tile, and what it takes away is what they give back. This is
+what makes it fast: without, ten times as many steps are not enough.
+
+It is solved for in units of the picture's contrast, in which the constants below are meant.
+
+The picture is solved for on a domain that is larger than it by the reach of the PSF, where
+there are no data. Clipped highlights are data on one side only: they say nothing once A f is
+at least as bright.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, minimum_filter
+
+from napari_defocus.core.image import PreparedImage, decode_srgb
+from napari_defocus.core.progress import Progress
+from napari_defocus.core.settings import Linearize
+from napari_defocus.core.threads import in_bands
+from napari_defocus.forward.blur_operator import BlurOperator, half_variance_slope
+from napari_defocus.psf.families import PSFFamily
+from napari_defocus.restoration.preconditioner import TiledInverse
+
+Float32 = NDArray[np.float32]
+
+_DOUBT, _DOUBT_POWER = 2.0, 3
+_SILENCE = 1e-8
+_CLIPPED = 1 - 1 / 255
+
+_FIRST_ROUNDING, _ROUNDING = 0.02, 1e-3
+"""eps, of the first round and from which on it no longer halves."""
+
+_STEPS_A_ROUND, _MOST_ROUNDS, _USUAL_ROUNDS = 5, 25, 8
+_TOLERANCE = 3e-3
+
+_CHECKED_AFTER = (2, 4)
+_GROSS = 8.0
+_VISIBLE = 2e-5
+_RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
+_LEAST_KNOWN = 0.05
+_LEAST_SHARE, _UNCHANGED = 0.5, 0.95
+
+_STIFFNESS_OF_TV = 15.0
+
+
+class Deconvolution:
+    """(19) for one picture, whose map may still change.
+
+    Parameters
+    ----------
+    picture : PreparedImage
+    psf : PSFFamily
+    sure : (H, W) float32 ndarray or None
+        How sure the map is, 0 to 1; None if it is right.
+    noise_variance, tv_weight : float
+    linearize : {"srgb"} or None
+        What the picture was decoded by: it says where light is clipped.
+    pool : Executor
+        What filters at once.
+    """
+
+    def __init__(
+        self,
+        picture: PreparedImage,
+        psf: PSFFamily,
+        sure: Float32 | None,
+        noise_variance: float,
+        tv_weight: float,
+        linearize: Linearize | None,
+        pool: Executor,
+    ) -> None:
+        unit = self._unit = np.float32(picture.intensities.unit)
+        self._color, self._opaque = picture.color / unit, picture.opaque
+        self._psf, self._sure, self._pool = psf, sure, pool
+        # Not NumPy's numbers: they would turn pictures into double precision.
+        self._noise_variance = float(max(noise_variance / float(unit) ** 2, _SILENCE))
+        self._tv_weight = float(tv_weight / float(unit))
+        limit = np.array([_CLIPPED], np.float32)
+        clipped = picture.color >= (decode_srgb(limit) if linearize == "srgb" else limit)
+        self._clipped = clipped if clipped.any() else None
+
+    def solve(self, scales: Float32, progress: Progress) -> Float32:
+        """Return the minimiser, (H, W, C); nothing keeps it in [0, 1]."""
+        self._blur_by(scales)
+        sharp = self._blur.extend(self._color)
+        sharp += self._inverse(self._pull(sharp)[0])
+        rounding = _FIRST_ROUNDING
+        for count in range(_MOST_ROUNDS):
+            start, whole = _STEPS_A_ROUND * count, _STEPS_A_ROUND * _USUAL_ROUNDS
+            before = sharp.copy()
+            for step in self._descend(sharp, rounding):
+                progress("Taking the blur away", min((start + step) / whole, 1.0))
+            change = sharp - before
+            settled = _inner(change, change) < _TOLERANCE**2 * _inner(sharp, sharp)
+            if rounding <= _ROUNDING and settled:
+                break
+            rounding = max(rounding / 2, _ROUNDING)
+            if count in _CHECKED_AFTER and self._sure is not None:
+                scales, sharp = self._with_less_blur(scales, sharp)
+        return sharp[self._blur.inner] * self._unit
+
+    def _blur_by(self, scales: Float32) -> None:
+        self._blur = BlurOperator(scales, self._psf, self._color.shape[2])
+        self._weight = self._weights(scales)
+        stiffness = _STIFFNESS_OF_TV * self._tv_weight
+        weight = self._weight[..., 0]
+        self._inverse = TiledInverse(self._blur, scales, self._psf, weight, stiffness, self._pool)
+
+    def _weights(self, scales: Float32) -> Float32:
+        """How much the data of each pixel count, (H, W, 1): noise over what else is wrong."""
+        weight = np.ones((*scales.shape, 1), np.float32)
+        if self._sure is not None:
+            change = half_variance_slope(self._psf, scales)[..., None] * _laplacian(self._color)
+            doubt = _DOUBT * (1 - self._sure[..., None]) ** _DOUBT_POWER
+            wrong = np.mean((doubt * change) ** 2, axis=2, keepdims=True)
+            weight = self._noise_variance / (self._noise_variance + wrong)
+        if self._opaque is not None:
+            weight = weight * self._opaque[..., None]
+        return weight.astype(np.float32)
+
+    def _pull(self, sharp: Float32) -> tuple[Float32, Float32]:
+        """Return A' w (g - A f), and the w in use: 0 where clipped light is bright enough."""
+        error = self._color - self._blur.apply(sharp)
+        weight = self._weight
+        if self._clipped is not None:
+            weight = np.where(self._clipped & (error < 0), np.float32(0), weight)
+        error *= weight
+        return self._blur.adjoint(error), weight
+
+    def _descend(self, sharp: Float32, rounding: float) -> Iterator[int]:
+        """Go one round of conjugate gradient steps, in place; tell before each."""
+        residual, weight = self._pull(sharp)
+        stiffness = _stiffness(sharp, np.float32(self._tv_weight), np.float32(rounding))
+        residual -= _smoothness_form(stiffness, sharp)
+        conditioned = self._inverse(residual)
+        direction = conditioned.copy()
+        power = _inner(residual, conditioned)
+        for step in range(_STEPS_A_ROUND):
+            yield step
+            form = self._blur.adjoint(weight * self._blur.apply(direction))
+            form += _smoothness_form(stiffness, direction)
+            curvature = _inner(direction, form)
+            if not (power > 0 and curvature > 0):
+                return
+            length = power / curvature
+            sharp += length * direction
+            residual -= length * form
+            conditioned = self._inverse(residual)
+            power, last = _inner(residual, conditioned), power
+            direction *= power / last
+            direction += conditioned
+
+    def _with_less_blur(self, scales: Float32, sharp: Float32) -> tuple[Float32, Float32]:
+        """Reduce the scales where the result does not explain the picture, and start anew there.
+
+        Too small a scale leaves blur, but hardly an error; too large a one, or two depths under
+        one PSF, cannot be explained by any picture that is not full of rings.
+        """
+        error = self._blur.apply(sharp) - self._color
+        square, known = np.mean(error**2, axis=2), np.ones(scales.shape, np.float32)
+        if self._clipped is not None:
+            known[self._clipped.any(axis=2)] = 0
+        power = gaussian_filter(square * known, _RESIDUAL_SIGMA)
+        power /= np.maximum(gaussian_filter(known, _RESIDUAL_SIGMA), _LEAST_KNOWN)
+        expected = _GROSS * (self._noise_variance + _VISIBLE)
+        share = np.sqrt(expected / np.maximum(power, expected))
+        share = minimum_filter(np.maximum(share, _LEAST_SHARE), 2 * _RESIDUAL_REACH + 1)
+        share = gaussian_filter(share, _RESIDUAL_REACH)
+        if share.min() > _UNCHANGED:
+            return scales, sharp
+        picture = sharp[self._blur.inner]
+        anew = np.clip((1 - share) / (1 - _UNCHANGED), 0, 1)[..., None]
+        scales = (scales * share).astype(np.float32)
+        self._blur_by(scales)
+        return scales, self._blur.extend(picture + anew * (self._color - picture))
+
+
+def _inner(a: Float32, b: Float32) -> float:
+    """Return the sum of products, in one order: `numpy.vdot` has one for each processor."""
+    return float(np.sum(a * b, dtype=np.float64))
+
+
+def _laplacian(color: Float32) -> Float32:
+    padded = np.pad(color, ((1, 1), (1, 1), (0, 0)), mode="symmetric")
+    around = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
+    return around - 4 * color
+
+
+def _stiffness(picture: Float32, tv_weight: np.float32, rounding: np.float32) -> Float32:
+    """Return lambda / (2 sqrt(|grad f|^2 + eps^2)): (H, W)."""
+    stiffness = np.empty(picture.shape[:2], np.float32)
+    in_bands(_stiffen_rows, len(picture), picture, tv_weight, rounding, stiffness)
+    return stiffness
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stiffen_rows(
+    start: int,
+    stop: int,
+    picture: Float32,
+    tv_weight: np.float32,
+    rounding: np.float32,
+    stiffness: Float32,
+) -> None:
+    height, width, channels = picture.shape
+    for row in range(start, stop):
+        for column in range(width):
+            square = rounding * rounding
+            for channel in range(channels):
+                if row + 1 < height:
+                    step = picture[row + 1, column, channel] - picture[row, column, channel]
+                    square += step * step
+                if column + 1 < width:
+                    step = picture[row, column + 1, channel] - picture[row, column, channel]
+                    square += step * step
+            stiffness[row, column] = np.float32(0.5) * tv_weight / np.sqrt(square)
+
+
+def _smoothness_form(stiffness: Float32, picture: Float32) -> Float32:
+    """Return grad' (c grad f), with c for the differences to the next row and column."""
+    form = np.empty_like(picture)
+    in_bands(_smooth_rows, len(picture), stiffness, picture, form)
+    return form
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _smooth_rows(
+    start: int, stop: int, stiffness: Float32, picture: Float32, form: Float32
+) -> None:
+    height, width, channels = picture.shape
+    for row in range(start, stop):
+        for column in range(width):
+            own = stiffness[row, column]
+            up = stiffness[row - 1, column] if row > 0 else np.float32(0)
+            left = stiffness[row, column - 1] if column > 0 else np.float32(0)
+            above, below = max(row - 1, 0), min(row + 1, height - 1)
+            before, after = max(column - 1, 0), min(column + 1, width - 1)
+            for channel in range(channels):
+                value = picture[row, column, channel]
+                form[row, column, channel] = (
+                    own * (value - picture[below, column, channel])
+                    + own * (value - picture[row, after, channel])
+                    + up * (value - picture[above, column, channel])
+                    + left * (value - picture[row, before, channel])
+                )

@@ -1,0 +1,1 @@
+"""Several planes through focus: focus stacking, depth from focus, focus curves."""

@@ -1,0 +1,261 @@
+"""Where along a stack each place is in focus: the power that its planes have in common.
+
+A thin lens that is moved by equal steps blurs by r_z = k |z - z0| px in plane z. One scene is
+behind all planes, so that its local power S_f at a frequency f, which (5) does not know for a
+single picture, is the same in each of them: plane z should have S_f B_f(r_z) + n_f, with B the
+blur spectrum (6) and n that of the noise (7). What is seen there, P_zf, costs the deviance of
+(5) from a perfect fit,
+
+    d = q - 1 - log q   with   q = P_zf / (S_f B_f(r_z) + n_f),
+
+and a place in focus at z0 costs the sum of d over planes and frequencies, with the best S_f.
+That is far sharper evidence than the curves of single pictures, which have to tell a blurred
+edge from a smooth thing; and it needs no resolution in frequency, so that windows can be small.
+Planes blurred by more than the family's largest scale count as blurred by that much.
+
+Frequencies are joined in rings (the same |f|), and both gradients are added. Memory grows by
+four numbers a window and plane, for windows of 17 px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from napari_defocus.core.image import PreparedImage
+from napari_defocus.core.threads import in_bands
+from napari_defocus.likelihood.blur_spectra import spectrum_table
+from napari_defocus.likelihood.gabor import frequencies, gradients, local_power, window_centers
+from napari_defocus.psf.families import PSFFamily
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+
+_RING_WIDTH = np.sqrt(2)
+"""Cycles a window."""
+
+_LEAST_NOISE = 1e-9
+_SCORING_ROUNDS = 2
+_LEAST_POWER = np.float32(1e-3)
+_TINY = np.float32(1e-12)
+_MOST_DEVIANCE = np.float32(3)
+_LEAST_DISPERSION = np.float32(0.05)
+_ROWS_AT_ONCE = 64
+
+_SLOWEST, _FASTEST = 0.7, 8.0
+"""px: the least blur over a whole stack, and the most from plane to plane, that is looked for."""
+
+_LADDER = np.sqrt(2)
+_HALVINGS = 4
+_WINDOWS_FOR_SPEED = 400
+_LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 8
+_HALF_PLANE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class RingBank:
+    """The filter bank for planes of one size, its frequencies joined in B rings.
+
+    Attributes
+    ----------
+    rows, columns : (R,) and (C,) float64 ndarray
+        Centres of the windows, in px.
+    window : int
+        N, in px.
+    members : (F, B) float32 ndarray
+        1 where a frequency is in a ring.
+    scales : (M,) float64 ndarray
+        In px.
+    blur : (M, B) float64 ndarray
+        (6), over the noise spectrum of a variance of 1.
+    noise : (B,) float64 ndarray
+        (7) for a variance of 1.
+    """
+
+    rows: Float64
+    columns: Float64
+    window: int
+    members: Float32
+    scales: Float64
+    blur: Float64
+    noise: Float64
+
+    @classmethod
+    def over(cls, shape: tuple[int, int], psf: PSFFamily, window: int, stride: int) -> RingBank:
+        """Lay windows over planes of a height and width."""
+        rows, columns = (window_centers(length, stride) for length in shape)
+        table = spectrum_table(psf, window, rows[0] % 1, columns[0] % 1, "exact", mixed=True)
+        radius = np.rint(np.hypot(*frequencies(window).T) / _RING_WIDTH)
+        members = (radius[:, None] == np.unique(radius)).astype(np.float32)
+        noise = np.einsum("f,fb->b", table.noise.sum(axis=0), members)
+        blur = np.einsum("mf,fb->mb", table.value.sum(axis=1), members) / noise
+        return cls(rows, columns, window, members, table.scales, blur, noise)
+
+    def power(self, picture: PreparedImage) -> Float32:
+        """Return the local power of a plane in each ring, in units of noise: (R, C, B).
+
+        Planes are mirrored outwards, so that each place has a window of its own.
+        """
+        pad = self.window // 2 + 1
+        luminance = np.pad(picture.luminance, pad, mode="symmetric")
+        opaque = None if picture.opaque is None else np.pad(picture.opaque, pad, mode="symmetric")
+        gradient = gradients(luminance, opaque, self.window)
+        found = np.empty((len(self.rows), len(self.columns), len(self.noise)), np.float32)
+        for top in range(0, len(self.rows), _ROWS_AT_ONCE):
+            block = slice(top, top + _ROWS_AT_ONCE)
+            power = local_power(gradient, self.rows[block] + pad, self.columns + pad, self.window)
+            found[block] = np.einsum("rcf,fb->rcb", power.sum(axis=2), self.members) / self.noise
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What the planes of a stack show at every window.
+
+    Attributes
+    ----------
+    power : (P, B, Z) float32 ndarray
+        Of P windows, B rings and Z planes, relative to the noise.
+    bank : RingBank
+    noise_variance : float
+        Of all planes.
+    gain : (Z,) float64 ndarray
+        How bright each plane is, against the others.
+    """
+
+    power: Float32
+    bank: RingBank
+    noise_variance: float
+    gain: Float64
+
+    @classmethod
+    def of(
+        cls,
+        planes: list[Float32],
+        bank: RingBank,
+        noise_variance: float,
+        gain: Float64,
+        unit: float = 1.0,
+    ) -> Sweep:
+        """Join what `RingBank.power` has found in each plane; `unit` is that of `Intensities`."""
+        variance = max(noise_variance, _LEAST_NOISE * unit**2)
+        power = np.empty((planes[0][..., 0].size, planes[0].shape[2], len(planes)), np.float32)
+        for number, plane in enumerate(planes):
+            power[..., number] = plane.reshape(len(power), -1) / np.float32(variance)
+        return cls(power, bank, variance, gain)
+
+    def cost(self, positions: Float64, px_per_plane: float) -> Float32:
+        """Return what a best focus at each position costs at each window: (P, L).
+
+        In units of log-likelihood, divided by the dispersion of each window: its mean deviance
+        for the best position against that of the exponential distribution.
+        """
+        cost, dispersion = self._deviance(self.power, positions, px_per_plane)
+        cost /= dispersion[:, None]
+        return cost
+
+    def px_per_plane(self) -> float:
+        """Find by how many px the blur grows from plane to plane; NaN without any texture.
+
+        The width of the peak that each ring's power has along the planes tells: the speed with
+        the least deviance over the windows with the most texture, from a ladder of speeds.
+        """
+        power = self._some_with_texture()
+        if not len(power):
+            return float("nan")
+        planes = power.shape[2]
+        positions = np.arange(0, planes - 1 + _HALF_PLANE / 2, _HALF_PLANE)
+        rungs = int(np.ceil(np.log(_FASTEST * (planes - 1) / _SLOWEST) / np.log(_LADDER)))
+        speeds = _FASTEST * _LADDER ** -np.arange(rungs + 1.0)
+        best, least = speeds[0], np.inf
+        for halving in range(_HALVINGS + 1):
+            for speed in speeds:
+                misfit = float(self._deviance(power, positions, speed)[0].min(axis=1).sum())
+                if misfit < least:
+                    best, least = speed, misfit
+            speeds = best * _LADDER ** (np.array([-0.5, 0.5]) / 2**halving)
+        return float(best)
+
+    def excess(self) -> Float64:
+        """Return by how much each window's power rises above its median over the planes: (P,).
+
+        In units of the noise's, the mean over all frequencies: noise alone gives 0.4 to 0.9.
+        """
+        mean = self._mean_power()
+        return np.asarray(mean.max(axis=1) - np.median(mean, axis=1))
+
+    def _mean_power(self) -> Float32:
+        members = self.bank.members.sum(axis=0)
+        return np.einsum("pbz,b->pz", self.power, members / members.sum())
+
+    def _some_with_texture(self) -> Float32:
+        """Return the power of windows that show much more in some plane than in most: (p, B, Z)."""
+        mean = self._mean_power()
+        peak, usual = mean.max(axis=1), np.median(mean, axis=1)
+        shown = np.flatnonzero((peak > _LEAST_PEAK) & (peak > _LEAST_RISE * usual))
+        if len(shown) < _FEWEST_WINDOWS:
+            return self.power[:0]
+        return self.power[shown[:: max(1, len(shown) // _WINDOWS_FOR_SPEED)]]
+
+    def _deviance(
+        self, power: Float32, positions: Float64, px_per_plane: float
+    ) -> tuple[Float32, Float32]:
+        radius = px_per_plane * np.abs(np.arange(len(self.gain)) - positions[:, None])
+        rings = range(self.bank.blur.shape[1])
+        blur = np.stack(
+            [np.interp(radius, self.bank.scales, self.bank.blur[:, ring]) for ring in rings],
+            axis=1,
+        )
+        blur *= self.gain**2 / self.noise_variance
+        members = self.bank.members.sum(axis=0)
+        return _deviances(power, blur.astype(np.float32), members)
+
+
+def _deviances(power: Float32, blur: Float32, members: Float32) -> tuple[Float32, Float32]:
+    """Return the deviance for every position, (P, L), and the dispersion of every window, (P,).
+
+    `blur`, (L, B, Z), is what a power of 1 would show, in units of noise, if a place were in
+    focus at each position. Every ring's own power is found by least squares, then by scoring.
+    """
+    deviance = np.empty((len(power), len(blur)), np.float32)
+    in_bands(_deviances_of, len(power), power, blur, members, deviance)
+    degrees = np.float32(power.shape[2]) * members.sum()
+    dispersion = np.maximum(np.float32(2) * deviance.min(axis=1) / degrees, _LEAST_DISPERSION)
+    return deviance, dispersion.astype(np.float32)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _deviances_of(
+    start: int, stop: int, power: Float32, blur: Float32, members: Float32, deviance: Float32
+) -> None:
+    _, rings, planes = power.shape
+    one, zero = np.float32(1), np.float32(0)
+    for window in range(start, stop):
+        for position in range(blur.shape[0]):
+            total = zero
+            for ring in range(rings):
+                strength = _strength(power, blur, window, position, ring)
+                for plane in range(planes):
+                    expected = one + strength * blur[position, ring, plane]
+                    ratio = max(power[window, ring, plane], _LEAST_POWER) / expected
+                    total += members[ring] * min(ratio - one - np.log(ratio), _MOST_DEVIANCE)
+            deviance[window, position] = total
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _strength(power: Float32, blur: Float32, window: int, position: int, ring: int) -> np.float32:
+    """Find the power that planes have in common: least squares, then Fisher scoring."""
+    one, zero, strength = np.float32(1), np.float32(0), np.float32(0)
+    for scoring in range(_SCORING_ROUNDS + 1):
+        product, square = zero, _TINY
+        for plane in range(power.shape[2]):
+            shown = blur[position, ring, plane]
+            expected = one + strength * shown if scoring else one
+            weight = shown / (expected * expected)
+            product += weight * (power[window, ring, plane] - one)
+            square += weight * shown
+        strength = max(product / square, zero)
+    return strength

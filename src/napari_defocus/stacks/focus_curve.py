@@ -1,0 +1,235 @@
+"""How much of each plane of a stack is in focus, and how blurred it is."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.core.image import given_array
+from napari_defocus.core.progress import Progress, silent
+from napari_defocus.core.settings import CONFIDENT, MaskSettings, check_confidence, check_real
+
+Float64 = NDArray[np.float64]
+
+COLUMNS = ("share_in_focus", "median_radius_px", "median_confidence", "share_sure")
+"""Of the table that `FocusCurve.save` writes, after those of the plane."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FocusCurve:
+    """What each plane of a stack has, from `focus_curve`.
+
+    Attributes
+    ----------
+    share_in_focus : (...) float64 ndarray
+        Of the plane's pixels, from 0 to 1; NaN for a plane of which nothing is known.
+    median_radius : (...) float64 ndarray
+        In px; NaN as before.
+    median_confidence : (...) float64 ndarray or None
+        From 0 to 1; None if no confidence was given.
+    share_sure : (...) float64 ndarray or None
+        Of the plane's pixels, those whose confidence is high.
+    """
+
+    share_in_focus: Float64
+    median_radius: Float64
+    median_confidence: Float64 | None = None
+    share_sure: Float64 | None = None
+
+    @property
+    def best(self) -> tuple[int, ...] | None:
+        """Index of the plane with the most in focus; of several, of the least median radius.
+
+        None if nothing is known of any plane.
+        """
+        known = np.isfinite(self.share_in_focus)
+        if not known.any():
+            return None
+        most = self.share_in_focus == self.share_in_focus[known].max()
+        radius = np.where(most, self.median_radius, np.inf)
+        return tuple(int(at) for at in np.unravel_index(radius.argmin(), radius.shape))
+
+    def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
+        """Write the curve as a table, whole or not at all.
+
+        It is a CSV file with a row a plane. The first column, or columns if planes are counted
+        along several axes, say which plane, from 0; what is not known is left empty.
+
+        Parameters
+        ----------
+        path : path-like
+        force : bool, optional
+            Whether a file that exists is overwritten.
+
+        Raises
+        ------
+        TypeError
+            If `force` is neither True nor False.
+        OSError
+            If the file cannot be written or exists already; the message has the path and the
+            reason.
+        """
+        from napari_defocus.io.pictures import write_results
+
+        write_results({Path(path): self._table().encode()}, force=force)
+
+    def _table(self) -> str:
+        shape = self.share_in_focus.shape
+        planes = ["plane"] if len(shape) == 1 else [f"plane_{axis}" for axis in range(len(shape))]
+        curves = (self.share_in_focus, self.median_radius, self.median_confidence, self.share_sure)
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow([*planes, *COLUMNS])
+        for at in np.ndindex(shape):
+            table.writerow([*at, *(_cell(curve, at) for curve in curves)])
+        return text.getvalue()
+
+
+def _cell(curve: Float64 | None, at: tuple[int, ...]) -> str:
+    return "" if curve is None or np.isnan(curve[at]) else f"{curve[at]:.6g}"
+
+
+def focus_curve(
+    blur_maps: ArrayLike,
+    *,
+    in_focus: ArrayLike | None = None,
+    confidence: ArrayLike | None = None,
+    threshold: float = MaskSettings.threshold,
+    min_confidence: float = CONFIDENT,
+    progress: Progress = silent,
+) -> FocusCurve:
+    """Return how much of each plane of a stack is in focus, and how blurred it is.
+
+    Planes are read one at a time, so that the stack may be larger than memory.
+
+    Parameters
+    ----------
+    blur_maps : (..., H, W) array_like
+        Blur maps in px, such as `estimate_blur_map` makes of every plane; numpy, dask, zarr, or
+        anything else with a shape that gives its planes by their index. NaN and infinite values
+        are pixels of which nothing is known: they do not count.
+    in_focus : (..., H, W) array_like, optional
+        Masks, such as those of `segment_in_focus`: not 0 in focus. Without, what is blurred by
+        `threshold` or less is in focus.
+    confidence : (..., H, W) array_like, optional
+        Such as `confidence_map` makes of every plane, from 0 to 1. Where it is 0, such as
+        outside of a region that was analysed, pixels do not count at all.
+    threshold : float, optional
+        In px, from 0 up; not used if there are masks.
+    min_confidence : float, optional
+        From which confidence on a pixel is sure.
+    progress : callable, optional
+        Called with a step's name and the share that is done, after every plane.
+
+    Returns
+    -------
+    FocusCurve
+        Its arrays have the shape that comes before `(H, W)`.
+
+    Raises
+    ------
+    TypeError
+        If an array holds no real numbers.
+    ValueError
+        If `blur_maps` has less than two axes or a side of 0, another array has another shape, or
+        a number is beyond its range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from napari_defocus import focus_curve
+    >>> radii = np.array([4.0, 1.0, 0.5, 3.0])
+    >>> curve = focus_curve(radii[:, None, None] * np.ones((20, 30)), threshold=1.5)
+    >>> curve.share_in_focus
+    array([0., 1., 1., 0.])
+    >>> curve.best
+    (2,)
+    """
+    _check_threshold(threshold)
+    check_confidence("min_confidence", min_confidence)
+    maps = _stack("blur_maps", blur_maps)
+    if len(maps.shape) < 2 or 0 in maps.shape:
+        raise ValueError(
+            f"blur_maps has shape {tuple(maps.shape)}; it takes (..., H, W), none of them 0"
+        )
+    masks = _like("in_focus", in_focus, maps)
+    sure = _like("confidence", confidence, maps)
+    found = np.full((4, *maps.shape[:-2]), np.nan)
+    count = math.prod(maps.shape[:-2])
+    for number, at in enumerate(np.ndindex(maps.shape[:-2])):
+        progress("Reading the planes", number / count)
+        found[(slice(None), *at)] = _of_plane(
+            given_array("blur_maps", maps[at]),
+            None if masks is None else np.asarray(masks[at]),
+            None if sure is None else np.asarray(sure[at]),
+            threshold,
+            min_confidence,
+        )
+    shares, radii, confidences, sures = found
+    if sure is None:
+        return FocusCurve(share_in_focus=shares, median_radius=radii)
+    return FocusCurve(
+        share_in_focus=shares,
+        median_radius=radii,
+        median_confidence=confidences,
+        share_sure=sures,
+    )
+
+
+def _of_plane(
+    blur_map: NDArray[Any],
+    mask: NDArray[Any] | None,
+    confidence: NDArray[Any] | None,
+    threshold: float,
+    min_confidence: float,
+) -> tuple[float, float, float, float]:
+    """Return the four values of a plane; NaN for those that nothing is known of."""
+    counts = np.isfinite(blur_map)
+    if confidence is not None:
+        counts &= confidence > 0
+    if not counts.any():
+        return math.nan, math.nan, math.nan, math.nan
+    radius = blur_map[counts]
+    focused = radius <= threshold if mask is None else mask[counts] != 0
+    share, median = float(focused.mean()), float(np.median(radius))
+    if confidence is None:
+        return share, median, math.nan, math.nan
+    sure = confidence[counts]
+    return share, median, float(np.median(sure)), float((sure >= min_confidence).mean())
+
+
+def _stack(name: str, array: Any) -> Any:
+    """Return something that has a shape and gives its planes by their index, not read yet."""
+    stack = (
+        array if hasattr(array, "shape") and hasattr(array, "dtype") else given_array(name, array)
+    )
+    if np.dtype(stack.dtype).kind not in "buif":
+        raise TypeError(f"{name} has dtype {stack.dtype}; it takes real numbers")
+    return stack
+
+
+def _like(name: str, array: Any, maps: Any) -> Any:
+    """Return a stack like `_stack`, of the shape of the maps; None for None."""
+    if array is None:
+        return None
+    stack = _stack(name, array)
+    if tuple(stack.shape) != tuple(maps.shape):
+        raise ValueError(
+            f"{name} has shape {tuple(stack.shape)}; it takes that of blur_maps, "
+            f"{tuple(maps.shape)}"
+        )
+    return stack
+
+
+def _check_threshold(threshold: float) -> None:
+    check_real("threshold", threshold, "a finite number of px from 0 up")
+    if not (math.isfinite(threshold) and threshold >= 0):
+        raise ValueError(f"threshold is {threshold}; it takes a finite number of px from 0 up")

@@ -1,0 +1,233 @@
+"""A coherent position of best focus: labels of blocks, of pixels beside jumps, and between.
+
+A label is a position in the stack, a quarter of a plane from the next one. Labels are chosen as
+those of a blur map are, with `best_focus` as data term: a minimum of (14), the penalty (15) per
+label step, the weights (16) from a picture that is sharp everywhere.
+
+Beside clear jumps, windows see both sides, and the sharper texture wins. There each pixel is
+asked itself: how much less fine detail it has at a position than at the one where it has most.
+Blur never adds detail, but light from across an edge does: up to 12 px from a jump the peak was
+right at 86 to 98 % of the pixels, where the fit of the whole curve, which such light misleads,
+was at 70 to 86 % (noise 1e-6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
+
+from napari_defocus.core.image import PreparedImage
+from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.labeling.continuous_refinement import refine_curves
+from napari_defocus.labeling.data_term import informed_share
+from napari_defocus.labeling.graph_cuts import Labels, Mask, Places, minimize_energy
+from napari_defocus.labeling.pixel_refinement import (
+    Blocks,
+    ChangeAt,
+    interpolate_labels,
+    label_pixels,
+)
+from napari_defocus.likelihood.blur_spectra import LABEL_STEP
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+ReadPlane = Callable[[int], PreparedImage]
+
+TOLERANCE = 0.5
+"""What counts as right, in planes."""
+
+REACH = 6
+"""How far, in px, a jump may be moved off the blocks at once."""
+
+_DEPTH = np.float32(15)
+_CURVE_WEIGHT = np.float32(24)
+_NEIGHBORHOOD = 4.0
+"""px."""
+
+_CLEAR_EXCESS, _STEEPNESS = 1.4, 4.0
+
+_FINE = 1.0
+_SURROUNDINGS = 0.7
+_LEAST_ENERGY = np.float32(1e-9)
+_DETAIL_DEPTH, _DETAIL_WEIGHT = np.float32(2), np.float32(180)
+_PIXEL_SMOOTHNESS = 0.2
+
+_CLEAR_JUMP = 4.0
+"""Planes, within reach: beside smaller jumps, and on slopes, windows know better."""
+
+_TEMPER = 0.7
+_WEIGHT_OF_MASS, _BIAS = 1.12, 4.07
+"""Fitted by benchmarks/stacks.py."""
+
+_LEAST_ODDS = 5e-4
+_ROUNDING = 1e-4
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class FocusGrid:
+    """What a stack's windows say about the position of best focus.
+
+    Attributes
+    ----------
+    cost : (R, C, L) float32 ndarray
+        Of each position, in units of log-likelihood.
+    excess : (R, C) ndarray
+        By how much the power of the sharpest plane is above the median's, in units of noise.
+    steps : int
+        Labels from plane to plane.
+    blocks : Blocks
+        Of the windows.
+    stride : int
+        Between the windows, in px.
+    unit : float
+        Of the intensities, see `Intensities.unit`.
+    """
+
+    cost: Float32
+    excess: Float64
+    steps: int
+    blocks: Blocks
+    stride: int
+    unit: float = 1.0
+
+    @cached_property
+    def _limited(self) -> Float32:
+        return np.minimum(self.cost - self.cost.min(axis=2, keepdims=True), _DEPTH)
+
+    @cached_property
+    def _averaged(self) -> Float32:
+        sigma = _NEIGHBORHOOD / self.stride
+        return gaussian_filter(self._limited, (sigma, sigma, 0))
+
+    @cached_property
+    def informed(self) -> Float32:
+        """How far there is evidence around each window, from 0 to 1: (R, C).
+
+        Among many planes noise alone has a sharpest one: some power has to rise above it.
+        """
+        rise = gaussian_filter(self.excess, _NEIGHBORHOOD / self.stride)
+        seen = 1 - np.exp(-((rise / _CLEAR_EXCESS) ** _STEEPNESS))
+        return informed_share(np.ptp(self._averaged, axis=2)) * seen.astype(np.float32)
+
+    def position(
+        self,
+        read: ReadPlane,
+        color: Float32,
+        *,
+        smoothness: float,
+        color_sigma: float,
+        progress: Progress = silent,
+    ) -> Float32:
+        """Find the position of best focus of every pixel.
+
+        Parameters
+        ----------
+        read : callable
+            Returns a plane, given its number; not called where nothing jumps.
+        color : (H, W, C) float32 ndarray
+            A picture that is sharp everywhere, for the weights (16), divided by `unit`.
+        smoothness, color_sigma : float
+            lambda_0, per label step, and sigma_lambda of (16).
+        progress : callable, optional
+
+        Returns
+        -------
+        (H, W) float32 ndarray
+            In planes from the first.
+        """
+        blocks, jump = self.blocks, max(2, self.steps)
+        data = _CURVE_WEIGHT * self._limited * self.informed[..., None]
+        weights = blocks.edge_weights(color, color_sigma, smoothness)
+        labels = minimize_energy(
+            data * blocks.area[..., None], weights, within(progress, 0, 0.5, "Choosing planes")
+        )
+        reach = 2 * (-(-REACH // self.stride)) + 1
+        spread = maximum_filter(labels, reach) - minimum_filter(labels, reach)
+        near = blocks.spread(spread >= _CLEAR_JUMP * self.steps)
+        pixels = label_pixels(
+            labels,
+            data,
+            blocks,
+            color,
+            smoothness=_PIXEL_SMOOTHNESS * smoothness,
+            color_sigma=color_sigma,
+            jump=jump,
+            reach=REACH,
+            change_at=self._by_detail(read, near, within(progress, 0.5, 0.8)),
+            progress=within(progress, 0.8, 0.9),
+        )
+        pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
+        likeness = weights / np.maximum(smoothness * pairs, _TINY)
+        fine = refine_curves(
+            -self.cost, labels, likeness, jump, stride=self.stride,
+            progress=within(progress, 0.9, 1.0),
+        )  # fmt: skip
+        scale = interpolate_labels(fine, labels, pixels, blocks, jump)
+        last = (self.cost.shape[2] - 1) / self.steps
+        return np.clip(scale / np.float32(LABEL_STEP * self.steps), 0, np.float32(last))
+
+    def _by_detail(self, read: ReadPlane, near: Mask, progress: Progress) -> ChangeAt | None:
+        """Return what a change of label costs by the pixels' own fine detail; NaN elsewhere."""
+        if not near.any():
+            return None
+        planes = (self.cost.shape[2] - 1) // self.steps + 1
+        detail = np.empty((int(near.sum()), planes), np.float32)
+        for number in range(planes):
+            progress("Looking along the edges", number / planes)
+            energy = fine_detail(read(number), _SURROUNDINGS)[near]
+            detail[:, number] = np.log(energy + _LEAST_ENERGY * np.float32(self.unit) ** 2)
+        lack = np.minimum(detail.max(axis=1, keepdims=True) - detail, _DETAIL_DEPTH)
+        lack *= _DETAIL_WEIGHT
+        row_of = np.maximum(np.cumsum(near.ravel()) - 1, 0)
+
+        def cost(labels: Labels, place: Places) -> Float64:
+            plane, between = np.divmod(labels.ravel()[place], self.steps)
+            row, share = row_of[place], between / self.steps
+            after = np.minimum(plane + 1, planes - 1)
+            return np.asarray((1 - share) * lack[row, plane] + share * lack[row, after])
+
+        def change(now: Labels, new: Labels, place: Places) -> Float64:
+            change = cost(new, place) - cost(now, place)
+            return np.where(near.ravel()[place], change, np.nan)
+
+        return change
+
+    def confidence(self, position: Float32) -> Float32:
+        """Return the probability that each position is within half a plane of the true one.
+
+        As `confidence_map` does for radii: from the share of the likelihood, limited in depth
+        and averaged over the neighbouring windows, that lies within half a plane of the
+        position. Without evidence it is the share of all positions that do.
+        """
+        rows, columns = (
+            np.rint(centers).astype(int)
+            for centers in (self.blocks.row_centers, self.blocks.column_centers)
+        )
+        odds, prior = self.odds(position[np.ix_(rows, columns)])
+        likely = 1 / (1 + np.exp(-_WEIGHT_OF_MASS * odds - _BIAS))
+        sure = self.informed * likely + (1 - self.informed) * prior
+        places = np.meshgrid(*self.blocks.positions, indexing="ij")
+        return np.clip(map_coordinates(sure.astype(np.float32), places, order=1), 0, 1)
+
+    def odds(self, position: Float32) -> tuple[Float64, Float64]:
+        """Return the log odds of positions at the windows, and the share of all that are right.
+
+        Of the likelihood within half a plane of each against that of all others: (R, C) each.
+        """
+        likelihood = np.exp(-_TEMPER * (self._averaged - self._averaged.min(axis=2, keepdims=True)))
+        labels = np.arange(self.cost.shape[2]) / self.steps
+        agrees = np.abs(labels - position[..., None]) <= TOLERANCE + _ROUNDING
+        share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
+        return np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS)), agrees.mean(axis=2)
+
+
+def fine_detail(picture: PreparedImage, surroundings: float) -> Float32:
+    """Return the energy of details below 1 px around each pixel: (H, W)."""
+    fine = picture.luminance - gaussian_filter(picture.luminance, _FINE)
+    return gaussian_filter(fine**2, surroundings)

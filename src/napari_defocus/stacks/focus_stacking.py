@@ -1,0 +1,342 @@
+"""The plane of a stack in which each pixel is sharpest, and a picture made of those pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.core.image import PreparedImage, checked_range, prepare_image
+from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
+from napari_defocus.core.known_pixels import limits_of
+from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.settings import (
+    Linearize,
+    MapSettings,
+    check_linearize,
+    check_noise_variance,
+    check_real,
+    check_stride,
+    check_weights,
+)
+from napari_defocus.labeling.pixel_refinement import Blocks
+from napari_defocus.likelihood.blur_spectra import check_windows
+from napari_defocus.likelihood.noise import noise_variance_of
+from napari_defocus.psf.families import Disc, PSFFamily
+from napari_defocus.stacks.depth_from_focus import RingBank, Sweep
+from napari_defocus.stacks.focus_labels import FocusGrid, fine_detail
+from napari_defocus.stacks.planes import StackPlanes
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+WINDOW = 17
+"""px: planes are compared with each other, which needs no resolution in frequency."""
+
+_SPEED_WINDOW, _SPEED_STRIDE = 33, 8
+"""px: how fast the blur grows is told by its absolute width, which does need resolution."""
+
+_STEPS, _PX_A_STEP = 4, 0.125
+_ASSUMED_SPEED = 1.0
+_DETAIL_AREA = 2.0
+_LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
+_DARKEST = 0.001
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SharpestPlane:
+    """Where a stack is in focus, from `sharpest_plane`.
+
+    Attributes
+    ----------
+    position : (H, W) float32 ndarray
+        The plane of best focus of each pixel, counted from 0; also between planes.
+    plane : (H, W) int32 ndarray
+        The nearest whole plane.
+    composite : (H, W) or (H, W, C) ndarray
+        Each pixel from that plane, in the stack's dtype: all in focus.
+    confidence : (H, W) float32 ndarray
+        Probability that `position` is within half a plane of the true one, from 0 to 1. Where
+        no plane shows any texture it is low: positions are carried in from around.
+    share_of_plane : (Z,) float64 ndarray
+        Which share of the pixels is sharpest in each plane; together 1.
+    px_per_plane : float
+        By how many px the radius of the blur grows from plane to plane, given, or found: 5 to
+        15 % too small at 1 px a plane, up to 35 % where the focus is steep and most planes are
+        blurred by more than the family's largest scale; positions hardly depend on it. NaN if
+        there was no texture to find it by.
+    noise_variance : float
+        Of the luminance, intensities in [0, 1], given or found.
+    intensities : Intensities
+        Which intensities of all planes are 0 and 1, and the contrast of the sharpest pixels.
+    """
+
+    position: Float32
+    plane: NDArray[np.int32]
+    composite: NDArray[Any]
+    confidence: Float32
+    share_of_plane: Float64
+    px_per_plane: float
+    noise_variance: float
+    intensities: Intensities
+
+    @property
+    def best(self) -> int:
+        """The plane that is sharpest at the most pixels."""
+        return int(self.share_of_plane.argmax())
+
+
+def sharpest_plane(
+    stack: Any,
+    *,
+    axes: str | None = None,
+    channel_axis: int | None = None,
+    channel: int | None = None,
+    time: int | None = None,
+    px_per_plane: float | None = None,
+    psf: PSFFamily = Disc(),
+    noise_variance: float | None = MapSettings.noise_variance,
+    window: int = WINDOW,
+    stride: int = MapSettings.stride,
+    smoothness: float = MapSettings.smoothness,
+    color_sigma: float = MapSettings.color_sigma,
+    linearize: Linearize | None = MapSettings.linearize,
+    intensity_range: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> SharpestPlane:
+    """Find where each pixel of a stack is in focus, and put the sharpest pixels together.
+
+    The planes are of one scene, at equal steps of the focus: a place in focus at z0 is blurred by a
+    radius of ``k |z - z0|`` px in plane z. How the local power of each place changes from plane to
+    plane gives k, and z0 to a small part of a plane, see `napari_defocus.stacks.depth_from_focus`.
+    The positions are made coherent as a blur map is, see `label_blur_map`, and follow the picture's
+    edges where they jump; where there is no texture, they are carried in from around.
+
+    Planes are read one at a time, two to four times each, and never all at once.
+
+    Parameters
+    ----------
+    stack : (Z, H, W) or (Z, H, W, 3) or (Z, H, W, 4) array_like
+        Two planes or more, in order, aligned with each other; numpy, dask, zarr, or anything
+        else with a shape, a dtype and planes by index. Any real dtype, see
+        `estimate_candidates`; all planes have the range of all. A fourth channel is opacity;
+        pixels that are NaN or masked are not known. Axes of length 1 do not count.
+    axes : str, optional
+        What each axis is, such as "zyx", "yxzs" or "tczyx": y, x, s for colours, c for channels,
+        t for times, and another letter for the planes. Channels are never taken for planes,
+        times are if there is no other axis of planes.
+    channel_axis : int, optional
+        Which axis holds the colours; the others are planes, rows and columns. Instead of `axes`.
+    channel, time : int, optional
+        Which one along c and t to take, from 0; needed if there are several.
+    px_per_plane : float, optional
+        k, by how many px the radius grows from plane to plane. By default it is found.
+    psf : PSFFamily, optional
+        The family of PSFs; planes blurred by more than its largest scale count as blurred by
+        that much.
+    noise_variance : float, optional
+        Variance of the noise in the luminance, intensities in [0, 1], the same in all planes.
+        By default the median of what is found in each.
+    window : int, optional
+        Side of the analysis window in px, odd, at least 17 and twice the largest scale.
+    stride : int, optional
+        Distance between analysed windows in px.
+    smoothness : float, optional
+        lambda_0 of (16), for a difference of one label. That is a quarter of a plane, more if
+        the blur grows by less than 0.5 px a plane: 0.125 px then, up to a whole plane.
+    color_sigma : float, optional
+        sigma_lambda of (16), as a share of the contrast.
+    linearize : {"srgb"}, optional
+        Decode the intensities into linear light first.
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    SharpestPlane
+
+    Raises
+    ------
+    TypeError
+        If `stack` holds no real numbers; if `channel` or `time` is no whole number.
+    ValueError
+        If `stack` has other axes, channels or times of which none is chosen, less than two
+        planes, a side below 3 px, or a plane with infinite values; if `axes` and `channel_axis`
+        do not fit it, or both are given; if `px_per_plane` is not above 0; and as in
+        `estimate_candidates` and `label_blur_map`.
+
+    Notes
+    -----
+    The radius need only grow evenly: px are those of the PSF family's scale. Brightness may
+    differ from plane to plane by a factor up to 2. Blur by up to 0.5 px cannot be told from
+    none, so that planes closer to each other than that are told apart by those farther away.
+    A stack whose planes have shifted against each other has to be aligned before.
+
+    Examples
+    --------
+    A picture that is tilted against the focal plane, in focus from plane 1 on the left to
+    plane 5 on the right:
+
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import sharpest_plane, simulate_defocus
+    >>> focus = np.broadcast_to(np.linspace(1, 5, 120), (120, 120))
+    >>> stack = [simulate_defocus(camera()[:120, 60:180], abs(z - focus)) for z in range(7)]
+    >>> found = sharpest_plane(stack)
+    >>> bool(np.median(np.abs(found.position - focus)) < 0.3)
+    True
+    """
+    psf = check_windows(psf, window)
+    planes = StackPlanes.of(stack, axes, channel_axis, channel=channel, time=time)
+    _check_settings(px_per_plane, noise_variance, stride, window)
+    check_weights(smoothness, color_sigma)
+    check_linearize(linearize)
+    read = _Reader.of(planes, intensity_range, linearize)
+    height, width = planes.shape[:2]
+    bank = RingBank.over((height, width), psf, window, stride)
+    coarse = RingBank.over((height, width), psf, max(window, _SPEED_WINDOW), _SPEED_STRIDE)
+    (sweep, wide), color, intensities = _look(
+        read, (bank, coarse), noise_variance, within(progress, 0.0, 0.4)
+    )
+    unit = intensities.unit
+    progress("Finding the blur from plane to plane", 0.4)
+    if px_per_plane is None:
+        # What a window mixes, in scale or in frequency, makes the blur seem to grow slower.
+        speed = float(np.fmax(sweep.px_per_plane(), wide.px_per_plane()))
+    else:
+        speed = float(px_per_plane)
+    usable = speed if math.isfinite(speed) else _ASSUMED_SPEED
+    progress("Comparing the planes", 0.45)
+    steps = int(np.clip(usable / _PX_A_STEP, 1, _STEPS))
+    positions = np.arange((len(planes) - 1) * steps + 1) / steps
+    cost = sweep.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
+    blocks = Blocks.around(bank.rows, bank.columns, (height, width))
+    excess = sweep.excess().reshape(cost.shape[:2])
+    grid = FocusGrid(cost, excess, steps, blocks, stride, unit)
+    position = grid.position(
+        read,
+        color if unit == 1 else color / np.float32(unit),
+        smoothness=smoothness,
+        color_sigma=color_sigma * intensities.contrast / unit,
+        progress=within(progress, 0.6, 0.85),
+    )
+    progress("Measuring the confidence", 0.85)
+    confidence = grid.confidence(position)
+    plane = np.rint(position).astype(np.int32)
+    return SharpestPlane(
+        position=position,
+        plane=plane,
+        composite=_composite(planes, plane, within(progress, 0.9, 1.0)),
+        confidence=confidence,
+        share_of_plane=np.bincount(plane.ravel(), minlength=len(planes)) / plane.size,
+        px_per_plane=speed,
+        noise_variance=sweep.noise_variance,
+        intensities=intensities,
+    )
+
+
+def _check_settings(
+    px_per_plane: float | None, noise_variance: float | None, stride: int, window: int
+) -> None:
+    if px_per_plane is not None:
+        check_real("px_per_plane", px_per_plane, "a finite number above 0, or None")
+    if px_per_plane is not None and not (math.isfinite(px_per_plane) and px_per_plane > 0):
+        raise ValueError(
+            f"px_per_plane is {px_per_plane}; it takes a finite number above 0, or None"
+        )
+    check_noise_variance(noise_variance)
+    check_stride(stride, window)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads planes and makes them ready."""
+
+    planes: StackPlanes
+    intensity_range: IntensityRange | Limits | None
+    linearize: Linearize | None
+
+    @classmethod
+    def of(
+        cls,
+        planes: StackPlanes,
+        intensity_range: IntensityRange | None,
+        linearize: Linearize | None,
+    ) -> _Reader:
+        """Look at all planes for the range that they share, if it is not known without."""
+        if not needs_limits(planes.dtype, checked_range(intensity_range)):
+            return cls(planes, intensity_range, linearize)
+        limits = [limits_of(planes.read(number)) for number in range(len(planes))]
+        return cls(planes, Limits.joined(limits), linearize)
+
+    def __call__(self, number: int) -> PreparedImage:
+        plane = self.planes.read(number)
+        if plane.ndim == 3 and plane.shape[2] == 1:
+            plane = plane[..., 0]
+        return prepare_image(plane, self.intensity_range, self.linearize)
+
+
+def _look(
+    read: _Reader,
+    banks: tuple[RingBank, ...],
+    noise_variance: float | None,
+    progress: Progress,
+) -> tuple[list[Sweep], Float32, Intensities]:
+    """Read all planes: their power, and each pixel's colour where it has the most detail."""
+    power: list[list[Float32]] = [[] for _ in banks]
+    noise, brightness, darkness = [], [], []
+    most, color = np.zeros((0, 0), np.float32), np.zeros((0, 0, 0), np.float32)
+    count = len(read.planes)
+    for number in range(count):
+        progress("Reading the planes", number / count)
+        picture = read(number)
+        for found, bank in zip(power, banks, strict=True):
+            found.append(bank.power(picture))
+        noise.append(noise_variance_of(picture) if noise_variance is None else noise_variance)
+        brightness.append(float(picture.luminance.mean()))
+        darkness.append(float(np.quantile(picture.luminance, _DARKEST)))
+        detail = fine_detail(picture, _DETAIL_AREA)
+        if number == 0:
+            most, color = detail, picture.color.copy()
+        else:
+            sharper = detail > most
+            color[sharper], most[sharper] = picture.color[sharper], detail[sharper]
+    variance = float(np.median(noise))
+    intensities = picture.intensities.with_contrast_of(color).above_noise(variance)
+    gain = _gains(np.array(brightness) - min(darkness), intensities.contrast)
+    sweeps = [
+        Sweep.of(found, bank, variance, gain, intensities.unit)
+        for found, bank in zip(power, banks, strict=True)
+    ]
+    return sweeps, color, intensities
+
+
+def _gains(brightness: Float64, contrast: float) -> Float64:
+    """Return how bright planes are against the others; 1 where their means cannot tell.
+
+    Blur leaves the mean as it is, a lamp that flickers does not. It is counted from the darkest
+    places, since cameras add an offset.
+    """
+    middle = float(np.median(brightness))
+    if middle < _LEAST_BRIGHTNESS * contrast:
+        return np.ones(len(brightness))
+    gain = brightness / middle
+    even = gain.min() > 1 / _LARGEST_DRIFT and gain.max() < _LARGEST_DRIFT
+    return gain if even else np.ones(len(brightness))
+
+
+def _composite(planes: StackPlanes, plane: NDArray[np.int32], progress: Progress) -> NDArray[Any]:
+    """Take each pixel from its own plane: (H, W) or (H, W, C)."""
+    composite = np.empty(planes.shape, planes.dtype)
+    needed = np.unique(plane)
+    for done, number in enumerate(needed):
+        progress("Putting the sharpest pixels together", done / len(needed))
+        here = plane == number
+        composite[here] = planes.read(int(number))[here]
+    progress("Putting the sharpest pixels together", 1.0)
+    return composite

@@ -1,0 +1,1 @@
+"""Stacks, and pictures larger than memory: the method, tile by tile."""

@@ -1,0 +1,139 @@
+"""The all-in-focus pictures of stacks, and of pictures larger than memory, part by part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from dask.delayed import Delayed
+from numpy.typing import NDArray
+
+from napari_defocus.core.image import PreparedImage, prepare_image, with_unknown
+from napari_defocus.core.intensity import Intensities, IntensityRange, needs_limits
+from napari_defocus.core.progress import Progress
+from napari_defocus.core.settings import Linearize, MapSettings
+from napari_defocus.psf.families import PSFFamily
+from napari_defocus.restoration.all_in_focus import in_shape_of, restored_colors
+from napari_defocus.tiled.candidates import (
+    computed,
+    intensities_of_plane,
+    limits_of_planes,
+    noise_of_plane,
+)
+from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
+from napari_defocus.tiled.tile_graph import PartGraph, after, pixels, placed
+from napari_defocus.tiled.tile_tasks import Noise
+from napari_defocus.tiled.tiles import Cutting, Part, blended, neighbors
+
+Float32 = NDArray[np.float32]
+
+_REACH = 64
+"""px around a part that have a say in it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartRestoration:
+    """How a part is restored: what `restore_all_in_focus` takes, but for arrays."""
+
+    psf: PSFFamily
+    noise_variance: float | None
+    tv_weight: float | None
+    linearize: Linearize | None
+    intensity_range: IntensityRange | None
+
+    def prepared(
+        self, pixels: NDArray[Any], intensities: Intensities | None = None
+    ) -> PreparedImage:
+        """Return the picture as it is restored; of a part, with the intensities of its plane."""
+        return prepare_image(pixels, intensities or self.intensity_range, self.linearize)
+
+
+def restore_part(
+    pixels: NDArray[Any],
+    blur_map: NDArray[Any],
+    confidence: NDArray[Any] | None,
+    part: Part,
+    noise: Noise,
+    how: PartRestoration,
+) -> Float32:
+    """Restore what a part sees, and return its own pixels and those that it goes over into."""
+    colors = restored_colors(
+        how.prepared(pixels, noise.intensities),
+        blur_map,
+        psf=how.psf,
+        noise_variance=noise.known,
+        confidence=confidence,
+        tv_weight=how.tv_weight,
+        linearize=how.linearize,
+    )
+    restored = with_unknown(in_shape_of(pixels, colors), pixels)
+    return restored[part.own(extended=True)].copy()
+
+
+def restore_planes(
+    planes: LazyPlanes,
+    blur_map: Any,
+    confidence: Any,
+    how: PartRestoration,
+    block_size: int,
+    progress: Progress,
+) -> Any:
+    """Do the work of `restore_all_in_focus`, which see, plane by plane and part by part.
+
+    Returns
+    -------
+    (..., H, W) or (..., H, W, 3 or 4) dask.array.Array
+        Or an array, if the image was one.
+    """
+    radii = planes.belonging("blur_map", blur_map)
+    sure = None if confidence is None else planes.belonging("confidence", confidence)
+    cutting = Cutting(planes.shape, MapSettings.window, MapSettings.stride, block_size)
+    parts = cutting.parts_that_see(_REACH)
+    colors = planes.image.shape[-1:] if planes.has_colors else ()
+    shared = _shared_limits(planes, how)
+
+    def of_plane(index: Index) -> dict[str, Any]:
+        plane, radius = planes.plane(index), radii[index]
+        noise = _noise(plane, how, shared, cutting.alone)
+        if isinstance(noise, Delayed):
+            plane = after(plane, noise)
+        certain = None if sure is None else sure[index]
+        graph = PartGraph.of("restored", [plane, radius, certain, noise], how, block_size)
+        for part, place in placed(parts):
+            known = pixels(plane, part.pixels), pixels(radius, part.pixels)
+            trusted = None if certain is None else pixels(certain, part.pixels)
+            graph.add(place, restore_part, *known, trusted, part, graph.key_of(noise), how)
+
+        def task_of(row: int, column: int) -> Any:
+            near = neighbors(parts, row, column)
+            return blended, parts[row][column], [[parts[y][x], (graph.name, y, x)] for y, x in near]
+
+        def shape_of(part: Part) -> tuple[int, ...]:
+            return part.own_shape + colors
+
+        return {"restored": graph.array("in_focus", parts, task_of, np.float32, shape_of)}
+
+    restored = planes.each(of_plane)
+    return (computed(restored, progress) if planes.in_memory else restored)["restored"]
+
+
+def _shared_limits(planes: LazyPlanes, how: PartRestoration) -> Any:
+    """Return the limits of all planes, delayed, if their range is found: it must not flicker."""
+    if not (planes.counts and needs_limits(planes.image.dtype, how.intensity_range)):
+        return None
+    return limits_of_planes([planes.plane(index) for index in np.ndindex(planes.counts)])
+
+
+def _noise(plane: Any, how: PartRestoration, shared: Any, alone: bool) -> Any:
+    """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
+    given = how.noise_variance
+    if alone and shared is None:
+        return Noise(given)
+    if shared is not None:
+        plane = after(plane, shared)
+    intensities = intensities_of_plane(plane, how.intensity_range, shared)
+    if not alone:
+        return noise_of_plane(plane, given, how, intensities)
+    graph = PartGraph.of("noise", [intensities], given)
+    return graph.value(graph.add("alone", Noise, given, None, graph.key_of(intensities)))

@@ -1,0 +1,320 @@
+"""What is done to one part of a picture: the tasks of which `blocks` makes a graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.core.image import PreparedImage, prepare_image
+from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, found_intensities
+from napari_defocus.core.settings import Linearize, MaskSettings, Mode, Spectra
+from napari_defocus.labeling.blur_map import blur_map_of_scene, carried_in, coarse_problem
+from napari_defocus.labeling.confidence import confidence_and_caution, confidence_map
+from napari_defocus.labeling.graph_cuts import minimize_energy, solve_exactly
+from napari_defocus.labeling.problem import CoarseLabels, Scene
+from napari_defocus.labeling.segmentation import coarse_mask_problem, mask_of_scene
+from napari_defocus.likelihood.candidates import BlurCandidates, Search, candidates_of
+from napari_defocus.likelihood.noise import (
+    NoiseSample,
+    ShotNoise,
+    mean_shot_noise,
+    noise_variance_of,
+    noise_variance_of_samples,
+)
+from napari_defocus.psf.families import PSFFamily
+from napari_defocus.tiled.tiles import Part, blended
+
+Float32 = NDArray[np.float32]
+Problem = tuple[Float32, Float32]
+Found = dict[str, NDArray[Any]]
+
+
+class Preparing(Protocol):
+    """What says how pixels are made ready."""
+
+    @property
+    def intensity_range(self) -> IntensityRange | None:
+        """The range that is given."""
+
+    def prepared(self, pixels: NDArray[Any], intensities: Intensities | None) -> PreparedImage:
+        """Return a picture, or a piece of one whose intensities were found before."""
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """How candidates are estimated: what `estimate_candidates` takes, but for the noise."""
+
+    psf: PSFFamily
+    window: int
+    stride: int
+    mode: Mode
+    spectra: Spectra
+    search: Search | None
+    linearize: Linearize | None
+    intensity_range: IntensityRange | None
+
+    def prepared(
+        self, pixels: NDArray[Any], intensities: Intensities | None = None
+    ) -> PreparedImage:
+        """Return the picture as spectra see it; of a part, with the intensities of its plane."""
+        return prepare_image(pixels, intensities or self.intensity_range, self.linearize)
+
+    def candidates(self, pixels: NDArray[Any], noise: Noise) -> BlurCandidates:
+        """Estimate those of a part, or of a plane."""
+        picture = self.prepared(pixels, noise.intensities)
+        variance, shot_noise = noise.of(picture)
+        return candidates_of(
+            picture,
+            psf=self.psf,
+            noise_variance=variance,
+            shot_noise=shot_noise,
+            window=self.window,
+            stride=self.stride,
+            mode=self.mode,
+            spectra=self.spectra,
+            search=self.search,
+        )
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The noise of a plane, and the intensities that it is measured in.
+
+    Attributes
+    ----------
+    given : float, ShotNoise or None
+        By the user.
+    variance : float or None
+        Its mean over the plane, if a part alone does not know it.
+    intensities : Intensities or None
+        Of the plane, if a part alone does not know them.
+    """
+
+    given: float | ShotNoise | None
+    variance: float | None = None
+    intensities: Intensities | None = None
+
+    @property
+    def known(self) -> float | None:
+        """Its variance, or mean variance; None if that is to be found from pixels."""
+        if self.variance is not None or isinstance(self.given, ShotNoise):
+            return self.variance
+        return None if self.given is None else float(self.given)
+
+    def of(self, picture: PreparedImage) -> tuple[float, ShotNoise | None]:
+        """Return the variance for the spectra, and how the noise grows."""
+        shot_noise = self.given if isinstance(self.given, ShotNoise) else None
+        if self.known is not None:
+            return self.known, shot_noise
+        if shot_noise is not None:
+            return mean_shot_noise(picture, shot_noise), shot_noise
+        return noise_variance_of(picture), None
+
+    @classmethod
+    def of_samples(
+        cls,
+        given: float | ShotNoise | None,
+        intensities: Intensities,
+        samples: list[NoiseSample],
+    ) -> Noise:
+        """Find the mean variance of a plane from pieces of it; none are needed if it is given."""
+        if isinstance(given, ShotNoise):
+            mean = float(np.mean([sample.luminance for sample in samples]))
+            variance = float(given.variance_at(np.array(mean)))
+        else:
+            variance = noise_variance_of_samples(samples) if given is None else float(given)
+        return cls(given, variance, intensities.above_noise(variance))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What is asked for of a picture; all of it costs hardly more than the first.
+
+    Attributes
+    ----------
+    map_weights : (float, float) or None
+        Smoothness and sigma of the colours, for a map.
+    confidence : bool
+        Whether to give the confidence of the map.
+    risk : float or None
+        For the map that `cautious_blur_map` gives.
+    carried_in : bool
+        Whether to tell where the map has no evidence of its own.
+    mask : MaskSettings or None
+    """
+
+    map_weights: tuple[float, float] | None = None
+    confidence: bool = False
+    risk: float | None = None
+    carried_in: bool = False
+    mask: MaskSettings | None = None
+
+    @property
+    def dtypes(self) -> dict[str, type]:
+        """Names of the results, and what they hold."""
+        asked = {
+            "blur_map": (self.map_weights is not None, np.float32),
+            "confidence": (self.confidence, np.float32),
+            "cautious": (self.risk is not None, np.float32),
+            "carried_in": (self.carried_in, np.bool_),
+            "mask": (self.mask is not None, np.uint8),
+        }
+        return {name: dtype for name, (is_asked, dtype) in asked.items() if is_asked}
+
+    def problems(self, scene: Scene, levels: int, seeds: NDArray[Any] | None) -> dict[str, Problem]:
+        """Return what the cells of a part cost: for the map, and for the mask."""
+        found: dict[str, Problem] = {}
+        if self.map_weights is not None:
+            smoothness, color_sigma = self.map_weights
+            found["blur_map"] = coarse_problem(
+                scene, levels, smoothness=smoothness, color_sigma=color_sigma
+            )
+        if self.mask is not None:
+            found["mask"] = coarse_mask_problem(scene, levels, **vars(self.mask), seeds=seeds)
+        return found
+
+    def measure(
+        self, scene: Scene, around: dict[str, CoarseLabels], seeds: NDArray[Any] | None
+    ) -> Found:
+        """Return all that is asked for of a part, everywhere that it sees."""
+        found: Found = {}
+        if self.map_weights is not None:
+            smoothness, color_sigma = self.map_weights
+            blur_map = blur_map_of_scene(
+                scene,
+                smoothness=smoothness,
+                color_sigma=color_sigma,
+                around=around.get("blur_map"),
+            )
+            found["blur_map"] = blur_map
+            if self.risk is not None:
+                sure, safe = confidence_and_caution(scene.candidates, blur_map, risk=self.risk)
+                found.update(confidence=sure, cautious=safe)
+            elif self.confidence:
+                found["confidence"] = confidence_map(scene.candidates, blur_map)
+            if self.carried_in:
+                found["carried_in"] = carried_in(scene)
+        if self.mask is not None:
+            found["mask"] = mask_of_scene(
+                scene, **vars(self.mask), seeds=seeds, around=around.get("mask")
+            )
+        return found
+
+
+def join_intensities(
+    dtype: np.dtype[Any],
+    intensity_range: IntensityRange | None,
+    limits: list[Limits],
+    values: list[NDArray[Any]],
+) -> Intensities:
+    """Find the intensities of a plane from pieces: limits of all of it, and some of its values."""
+    known = Limits.joined(limits) if limits else None
+    return found_intensities(dtype, intensity_range, known, np.concatenate(values))
+
+
+def look_at_noise(
+    pixels: NDArray[Any], how: Preparing, intensities: Intensities, every: int
+) -> NoiseSample:
+    """Return what a piece of a plane shows of the noise."""
+    return NoiseSample.of(how.prepared(pixels, intensities), every)
+
+
+def noise_with_variance(pixels: NDArray[Any], how: Preparing, noise: Noise) -> Noise:
+    """Return the noise of a plane that is one part, with its variance and its intensities."""
+    picture = how.prepared(pixels, noise.intensities)
+    variance = noise.of(picture)[0]
+    return Noise(noise.given, variance, picture.intensities.above_noise(variance))
+
+
+def survey_part(
+    pixels: NDArray[Any],
+    seeds: NDArray[Any] | None,
+    part: Part,
+    levels: int,
+    noise: Noise,
+    how: Estimation,
+    wanted: Wanted,
+) -> dict[str, Problem]:
+    """Return what the cells of a part cost, its own ones."""
+    scene = Scene.of(how.candidates(pixels, noise), pixels)
+    own = part.own_cells(levels)
+    return {
+        name: (data[own].copy(), weights[:, *own].copy())
+        for name, (data, weights) in wanted.problems(scene, levels, seeds).items()
+    }
+
+
+def join_cells(surveys: list[dict[str, Problem]], axis: int) -> dict[str, Problem]:
+    """Put what cells beside each other cost together, along rows, 0, or columns, 1."""
+    return {
+        name: (
+            np.concatenate([one[name][0] for one in surveys], axis=axis),
+            np.concatenate([one[name][1] for one in surveys], axis=axis + 1),
+        )
+        for name in surveys[0]
+    }
+
+
+def label_cells(rows: list[dict[str, Problem]]) -> dict[str, NDArray[np.int32]]:
+    """Label the cells of a whole plane, for the map and for the mask."""
+    return {
+        name: (solve_exactly if name == "mask" else _minimized)(data, weights)
+        for name, (data, weights) in join_cells(rows, 0).items()
+    }
+
+
+def _minimized(data: Float32, weights: Float32) -> NDArray[np.int32]:
+    return minimize_energy(data, weights, finest=False)
+
+
+def measure_part(
+    pixels: NDArray[Any],
+    seeds: NDArray[Any] | None,
+    part: Part,
+    levels: int,
+    cells: dict[str, NDArray[np.int32]] | None,
+    noise: Noise,
+    how: Estimation,
+    wanted: Wanted,
+) -> Found:
+    """Return what is asked for of a part: of its own pixels, and of those it goes over into."""
+    scene = Scene.of(how.candidates(pixels, noise), pixels)
+    at = part.cells(levels)
+    around = {
+        name: CoarseLabels(np.ascontiguousarray(labels[at]), part.own_cells(0), part.inner_sides)
+        for name, labels in (cells or {}).items()
+    }
+    found = wanted.measure(scene, around, seeds)
+    return {
+        name: found[name][part.own(extended=dtype is np.float32)].copy()
+        for name, dtype in wanted.dtypes.items()
+    }
+
+
+def judge_part(
+    pixels: NDArray[Any],
+    blur_map: NDArray[Any],
+    part: Part,
+    noise: Noise,
+    how: Estimation,
+    risk: float,
+) -> Found:
+    """Return the confidence of a given map in a part, and what of it is safe to take away."""
+    sure, safe = confidence_and_caution(how.candidates(pixels, noise), blur_map, risk=risk)
+    return {"confidence": sure[part.own()].copy(), "cautious": safe[part.own()].copy()}
+
+
+def windows_of_part(
+    pixels: NDArray[Any], part: Part, noise: Noise, how: Estimation, name: str
+) -> Float32:
+    """Return an attribute of the candidates of a part's own windows."""
+    values: Float32 = getattr(how.candidates(pixels, noise), name)
+    return values[part.own_cells(0)].copy()
+
+
+def blend_named(target: Part, near: list[Part], found: list[Found], name: str) -> Float32:
+    """Put a part together from what it and its neighbours say of it, see `parts.blended`."""
+    return blended(target, [(part, one[name]) for part, one in zip(near, found, strict=True)])

@@ -1,0 +1,42 @@
+"""Results go with their picture when it is renamed: no Qt."""
+
+import weakref
+from typing import Any
+
+from napari.components import ViewerModel
+from napari.layers import Layer
+
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, made_by_us
+
+
+class _Renaming:
+    """A callback of a picture's name, which lives as long as the picture."""
+
+    def __init__(self, viewer: ViewerModel, picture: Layer) -> None:
+        self._viewer = weakref.ref(viewer)
+        self._name = picture.name
+
+    def __call__(self, event: Any) -> None:
+        viewer, before, now = self._viewer(), self._name, event.source.name
+        self._name = now
+        if viewer is None:
+            return
+        for layer in viewer.layers:
+            made = layer.metadata.get(METADATA_KEY) if made_by_us(layer) else None
+            if made and made.get("source") == before:
+                layer.metadata = {**layer.metadata, METADATA_KEY: {**made, "source": now}}
+                if layer.name.startswith(before):
+                    layer.name = now + layer.name.removeprefix(before)
+
+
+def rename_with(viewer: ViewerModel, picture: Layer) -> None:
+    """Let the results of a picture be renamed when it is, from now on; once or often is the same.
+
+    Parameters
+    ----------
+    viewer : napari.components.ViewerModel or napari.Viewer
+    picture : napari.layers.Layer
+    """
+    viewer, picture = (getattr(lent, "__wrapped__", lent) for lent in (viewer, picture))
+    if not any(isinstance(each, _Renaming) for each in picture.events.name.callbacks):
+        picture.events.name.connect(_Renaming(viewer, picture))

@@ -1,0 +1,185 @@
+"""The widget that finds where each pixel of a stack is in focus."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+from magicgui.widgets import ComboBox
+from napari.components import ViewerModel
+from napari.layers import Image, Layer
+
+from napari_defocus.core.axes import CHOSEN_BY, known_axis
+from napari_defocus.widgets.display.add_results import showing_results
+from napari_defocus.widgets.forms.image_panel import ImagePanel
+from napari_defocus.widgets.forms.settings_form import SettingsForm, automatic_field, number_or_none
+from napari_defocus.widgets.forms.slider_number import SliderNumber
+from napari_defocus.widgets.forms.workers import Run
+from napari_defocus.widgets.jobs.focus_stacking import CHANNELS_ONLY, NO_PLANES, BestFocus
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, finest
+from napari_defocus.widgets.layers.preferences import preferred_settings
+from napari_defocus.widgets.layers.result_metadata import Results
+
+
+class SharpestPlaneWidget(ImagePanel):
+    """Find in which plane of a stack each pixel is in focus, and put those pixels together.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer or napari.components.ViewerModel
+
+    Attributes
+    ----------
+    along : magicgui.widgets.ComboBox
+        Along which slider the focus changes; only shown if there are several. Sliders of length
+        1, and of channels, are none.
+    channel, time : SliderNumber
+        Which one is taken; only shown if there are several, and the focus changes along another
+        slider.
+    px_per_plane : magicgui.widgets.LineEdit
+        By how much the blur grows from plane to plane; empty to find it.
+    settings : SettingsForm
+        Lens, noise and smoothness.
+    """
+
+    def __init__(self, napari_viewer: ViewerModel) -> None:
+        super().__init__(napari_viewer, action="Find the sharpest plane")
+        self.image.tooltip = (
+            "A stack of one scene whose planes are at equal steps of the focus, aligned."
+        )
+        self.along = ComboBox(
+            name="along",
+            label="focus along",
+            choices=self._sliders,
+            tooltip="Along which slider the focus changes; the others stay where they stand.",
+        )
+        self.channel = SliderNumber("channel", napari_viewer.dims)
+        self.time = SliderNumber("time", napari_viewer.dims)
+        self.px_per_plane = automatic_field(
+            "px_per_plane",
+            "blur (px a plane)",
+            None,
+            "By how many px the radius of the blur grows from plane to plane. Leave it empty to "
+            "have it found from the stack.",
+        )
+        self.settings = SettingsForm(blur_map=True, mask=False, last_measured=self._last_measured)
+        settings = self.settings
+        self._finish_form(
+            [
+                self.image,
+                self.region,
+                self.along,
+                self.channel,
+                self.time,
+                self.px_per_plane,
+                *settings.lens.fields(),
+                settings.max_radius,
+                settings.more,
+                *settings.more_fields(),
+            ]
+        )
+        settings.take(preferred_settings().map, preferred_settings().mask)
+        settings.shot_noise.value = False
+        settings.show_needed(estimating=True, lens=True)
+        settings.show_more(False)
+        self.image.changed.connect(lambda _: self._on_image())
+        self.along.changed.connect(lambda _: self._follow_sliders())
+        napari_viewer.dims.events.point.connect(self._follow_sliders)
+        napari_viewer.dims.events.order.connect(self._on_order)
+        self._choose_active()
+        self._on_image()
+
+    def _images(self, choice: Any) -> list[Image]:
+        return [layer for layer in super()._images(choice) if layer.ndim > 2]
+
+    def _sliders(self, _: Any) -> list[tuple[str, int]]:
+        """Return the axes along which the focus may change, the most likely first.
+
+        That is the last one that is not displayed; times come after all others.
+        """
+        layer = self.image.value
+        axes = [axis for axis in reversed(self._long_sliders()) if self._kind(axis) != "channel"]
+        axes.sort(key=lambda axis: self._kind(axis) == "time")
+        return [(str(layer.axis_labels[axis]), axis) for axis in axes]
+
+    def _long_sliders(self) -> list[int]:
+        """Return the axes of the layer that are not displayed and have several positions."""
+        layer = self.image.value
+        if layer is None:
+            return []
+        first = self._viewer.dims.ndim - layer.ndim
+        shown = {axis - first for axis in self._viewer.dims.displayed}
+        shape = finest(layer).shape
+        return [axis for axis in range(layer.ndim) if axis not in shown and shape[axis] > 1]
+
+    def _kind(self, axis: int) -> str:
+        """Return whether an axis is that of a channel or a time; "" for others."""
+        letter = known_axis(self.image.value.axis_labels[axis])
+        return CHOSEN_BY.get(letter, "")
+
+    def _on_image(self) -> None:
+        self.along.reset_choices()
+        self.along.visible = len(self.along.choices) > 1
+        self._follow_sliders()
+
+    def _on_order(self, _: Any = None) -> None:
+        self._on_image()
+
+    def _follow_sliders(self, _: Any = None) -> None:
+        """Say which channel and which time are taken, if there are several."""
+        stay = {self._kind(axis): axis for axis in self._long_sliders() if axis != self.along.value}
+        for field in (self.channel, self.time):
+            field.follow(self.image.value, stay.get(field.name))
+
+    def _on_closed(self) -> None:
+        super()._on_closed()
+        self._viewer.dims.events.point.disconnect(self._follow_sliders)
+        self._viewer.dims.events.order.disconnect(self._on_order)
+
+    def wanted(self) -> BestFocus:
+        """Return what the form asks for now.
+
+        Raises
+        ------
+        NotAnalysableError
+            If the chosen layer shows no plane, or there is nothing to compare.
+        ValueError
+            If a field holds no valid value.
+        """
+        plane = self._shown_plane()
+        self.along.reset_choices()
+        if self.along.value is None:
+            raise NotAnalysableError(CHANNELS_ONLY if self._long_sliders() else NO_PLANES)
+        return BestFocus(
+            plane=plane,
+            axis=self.along.value,
+            settings=self.settings.map_settings(),
+            px_per_plane=number_or_none(self.px_per_plane.value, "blur a plane", "0.5"),
+        )
+
+    def run(self) -> Run | None:
+        """Start to compare the planes, and return the run; None if it cannot be done.
+
+        The results are in the viewer when the run's `finished` signal comes. While one runs,
+        that one is returned.
+        """
+        if self._running is not None:
+            return self._running
+        wanted = self._asked_for(self.wanted)
+        if wanted is None:
+            return None
+        return self._start(
+            partial(wanted.run, self.kept),
+            self._showing,
+            [wanted.plane],
+            f"Sharpest plane of {wanted.plane.name}",
+        )
+
+    def _showing(self, results: Results) -> Iterator[Layer]:
+        if self._still_current():
+            layers = []
+            for layer in showing_results(self._viewer, results.layers):
+                layers.append(layer)
+                yield layer
+            # The picture: what lies above it is hidden.
+            self._viewer.layers.selection.active = layers[0]
+            self._last_word = self.status.value = results.summary

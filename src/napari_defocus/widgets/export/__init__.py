@@ -1,0 +1,1 @@
+"""From the viewer to files and scripts."""

@@ -1,0 +1,104 @@
+"""What the widgets that work on one image layer share: choose it, ask, show what was made."""
+
+import threading
+from collections.abc import Callable
+from functools import cache
+from typing import Any, ClassVar, TypeVar
+
+from magicgui.widgets import ComboBox
+from napari.components import ViewerModel
+from napari.layers import Image
+from napari.utils.notifications import show_info, show_warning
+
+from napari_defocus.widgets.display.add_results import prepare_napari
+from napari_defocus.widgets.forms.region_field import RegionField
+from napari_defocus.widgets.forms.run_panel import RunPanel
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, shown_plane
+from napari_defocus.widgets.layers.result_metadata import MEASURED_PSF, METADATA_KEY, made_by_us
+
+T = TypeVar("T")
+
+
+@cache
+def prepare() -> None:
+    """Load what the first run needs while its user looks at the form."""
+    threading.Thread(target=prepare_napari, daemon=True).start()
+
+
+class ImagePanel(RunPanel):
+    """Work on the shown plane of one image layer, in a worker thread.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer or napari.components.ViewerModel
+        Where the images come from and the results go.
+    action : str
+        What the run button says.
+
+    Attributes
+    ----------
+    image : magicgui.widgets.ComboBox
+        The image layer.
+    region : RegionField
+        What part of it.
+    kept : KeptWork
+        Shared by all widgets: the mask reuses what the map has found.
+    """
+
+    kept: ClassVar[KeptWork] = KeptWork()
+
+    def __init__(self, napari_viewer: ViewerModel, *, action: str) -> None:
+        super().__init__(napari_viewer, action=action)
+        self.image = ComboBox(
+            name="image",
+            label="image",
+            choices=self._images,
+            tooltip="The image layer to analyse. Of a stack, the plane that is shown.",
+        )
+        self.region = RegionField(napari_viewer)
+        prepare()
+
+    def _images(self, _: Any) -> list[Image]:
+        return [
+            layer
+            for layer in self._viewer.layers
+            if isinstance(layer, Image) and made_by_us(layer) is None
+        ]
+
+    def _choose_active(self) -> None:
+        """Choose the active image layer; only once the fields are in a form."""
+        active = self._viewer.layers.selection.active
+        if active in self.image.choices:
+            self.image.value = active
+
+    def _last_measured(self) -> str:
+        measured = [layer for layer in self._viewer.layers if made_by_us(layer) == MEASURED_PSF]
+        return measured[-1].metadata[METADATA_KEY]["file"] if measured else ""
+
+    def _shown_plane(self) -> Plane:
+        if self.image.value is None:
+            raise NotAnalysableError("there is no image.")
+        return self.region.part_of(shown_plane(self.image.value, self._viewer.dims))
+
+    def _asked_for(self, work: Callable[[], T]) -> T | None:
+        """Return what `work` reads from the form; None, with a warning, if it cannot be done."""
+        if self.image.value is None:
+            show_warning("There is no image to analyse. Open an image first.")
+            return None
+        try:
+            return work()
+        except NotAnalysableError as reason:
+            show_warning(f"Cannot analyse “{self.image.value.name}”: {reason}")
+        except ValueError as reason:
+            show_warning(str(reason))
+        return None
+
+    def _still_current(self) -> bool:
+        """Tell whether the plane that was worked on is as it was; if it was changed, say so."""
+        plane = self._planes[0]
+        if plane.is_current(self._viewer.layers):
+            return True
+        if plane.layer() in self._viewer.layers:
+            show_info(f"“{plane.name}” was changed while it was analysed. Run again.")
+        return False

@@ -1,0 +1,61 @@
+"""The choice of what part of a picture is analysed."""
+
+from typing import Any
+
+from magicgui.widgets import ComboBox
+from napari.components import ViewerModel
+from napari.layers import Shapes
+
+from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.region import Choice, plane_in, region_of
+
+
+class RegionField(ComboBox):
+    """All of a picture, what is in view, or what the shapes of a layer enclose.
+
+    Its choices follow the viewer's layers wherever those of other fields do.
+
+    Parameters
+    ----------
+    napari_viewer : napari.Viewer or napari.components.ViewerModel
+    """
+
+    def __init__(self, napari_viewer: ViewerModel) -> None:
+        self._viewer = napari_viewer
+        super().__init__(
+            name="region",
+            label="region",
+            choices=self._regions,
+            tooltip="Analyse the whole picture, only what you see of it now, or only what the "
+            "shapes of a layer enclose: all of them, or the selected ones if any are selected. "
+            "A region is faster, and its results lie where it lies.",
+        )
+
+    def _regions(self, _: Any) -> list[tuple[str, Choice]]:
+        return [
+            ("whole picture", "whole"),
+            ("visible field", "visible"),
+            *(
+                (f"shapes: {layer.name}", layer)
+                for layer in self._viewer.layers
+                if isinstance(layer, Shapes)
+            ),
+        ]
+
+    def part_of(self, plane: Plane) -> Plane:
+        """Return the part of a plane that is chosen, or the plane itself.
+
+        Parameters
+        ----------
+        plane : Plane
+            What `shown_plane` returns now.
+
+        Raises
+        ------
+        NotAnalysableError
+            If the choice holds no part of it, see `region_of`.
+        """
+        layer = plane.layer()
+        if layer is None:
+            return plane
+        return plane_in(plane, region_of(layer, self._viewer, self.value))

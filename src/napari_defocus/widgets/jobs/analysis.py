@@ -1,0 +1,208 @@
+"""What one run does, from the plane to the result layers: no Qt, any thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from napari.types import LayerDataTuple
+from numpy.typing import NDArray
+
+from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.settings import (
+    COMPARED_PSFS,
+    MapSettings,
+    MaskSettings,
+    check_threshold,
+    psf_of,
+)
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import (
+    ESTIMATION_SHARE,
+    Analysed,
+    Picture,
+    analysed_picture,
+    estimated_map,
+    same_candidates,
+    segmented,
+    weights_of,
+)
+from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.result_layers import (
+    blur_map_layer,
+    confidence_layer,
+    in_focus_layer,
+)
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
+from napari_defocus.widgets.layers.seeds import Seeds
+
+if TYPE_CHECKING:
+    from napari_defocus import PSFEvidence
+
+Preview = Callable[[list[LayerDataTuple]], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """What is wanted of a plane.
+
+    Attributes
+    ----------
+    plane : Plane
+    estimation : MapSettings
+        What the candidates are estimated with, and the map labelled.
+    mask : MaskSettings or None
+        What is segmented with; None for no mask.
+    seeds : Seeds or None
+        What the mask keeps to.
+    blur_map : bool
+        Whether a blur map is wanted.
+    confidence : bool
+        Whether the blur map's confidence is wanted too.
+    """
+
+    plane: Plane
+    estimation: MapSettings
+    mask: MaskSettings | None = None
+    seeds: Seeds | None = None
+    blur_map: bool = True
+    confidence: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings before any work is done with them."""
+        family = self.estimation.family()
+        if self.mask is not None:
+            check_threshold(self.mask.threshold, family.max_scale)
+
+    def run(
+        self, kept: KeptWork, progress: Progress = silent, preview: Preview | None = None
+    ) -> list[LayerDataTuple]:
+        """Return the wanted result layers.
+
+        Parameters
+        ----------
+        kept : KeptWork
+            What earlier runs have found; what this one finds is added.
+        progress : callable, optional
+            See `napari_defocus.core.progress`.
+        preview : callable, optional
+            Called with `preview` of a large picture as soon as there is one.
+        """
+        progress("Reading the picture", 0.0)
+        picture = Picture.of(self.plane)
+        estimating = within(progress, 0.0, ESTIMATION_SHARE)
+        analysed = analysed_picture(picture, self.estimation, kept, estimating)
+        if preview is not None and analysed.is_large:
+            there = within(progress, ESTIMATION_SHARE, ESTIMATION_SHARE)
+            preview(self.preview(analysed, there))
+        return self.labelled(analysed, kept, within(progress, ESTIMATION_SHARE, 1.0))
+
+    def labelled(
+        self, analysed: Analysed, kept: KeptWork, progress: Progress = silent
+    ) -> list[LayerDataTuple]:
+        """Return the wanted result layers of a plane whose candidates are known."""
+        steps = [self._map_layers] * self.blur_map + [self._mask_layers] * (self.mask is not None)
+        return [
+            layer
+            for n, step in enumerate(steps)
+            for layer in step(
+                analysed, kept, within(progress, n / len(steps), (n + 1) / len(steps))
+            )
+        ]
+
+    def fits(self, analysed: Analysed) -> bool:
+        """Tell whether candidates are those of this plane and these settings."""
+        same = same_candidates(analysed.settings, self.estimation)
+        return self.plane == analysed.picture.plane and same
+
+    def preview(
+        self, analysed: Analysed, progress: Progress = silent, lane: str = ""
+    ) -> list[LayerDataTuple]:
+        """Return the wanted layers of a large picture at once, without their fine details.
+
+        There is no confidence among them. For `lane` see `run_elsewhere`.
+        """
+        from napari_defocus.labeling.blur_map import preview_of_blur_map
+        from napari_defocus.labeling.segmentation import mask_of_scene
+
+        layers = []
+        common: dict[str, Any] = {"lane": lane, "progress": progress}
+        if self.blur_map:
+            settings = self.estimation
+            weights = weights_of(settings)
+            values = analysed.on_scene(preview_of_blur_map, **weights, **common)
+            found = analysed.candidates
+            used = settings, found.noise_variance, found.psf, found.intensities
+            layers.append(blur_map_layer(self.plane, values, *used))
+        if self.mask is not None:
+            keywords = {**asdict(self.mask), "seeds": self._seeds, **common}
+            mask = analysed.on_scene(mask_of_scene, preview=True, **keywords)
+            layers.append(self._mask_layer(analysed, mask))
+        for _, keywords, _ in layers:
+            keywords["metadata"][METADATA_KEY]["preview"] = True
+        return layers
+
+    @property
+    def _seeds(self) -> NDArray[np.integer] | None:
+        return self.seeds.values if self.seeds else None
+
+    def _map_layers(
+        self, analysed: Analysed, kept: KeptWork, progress: Progress
+    ) -> list[LayerDataTuple]:
+        found = estimated_map(analysed.picture, self.estimation, kept, progress)
+        used = self.estimation, found.noise_variance
+        # Copies: what somebody paints on a layer is not kept.
+        more = found.psf, found.intensities
+        layers = [blur_map_layer(self.plane, found.values.copy(), *used, *more)]
+        if self.confidence:
+            confidence = self.plane.counted(found.confidence)
+            layers.append(confidence_layer(self.plane, confidence, *used, found.intensities))
+        return layers
+
+    def _mask_layers(
+        self, analysed: Analysed, kept: KeptWork, progress: Progress
+    ) -> list[LayerDataTuple]:
+        assert self.mask is not None
+        return [self._mask_layer(analysed, segmented(analysed, self.mask, self._seeds, progress))]
+
+    def _mask_layer(self, analysed: Analysed, mask: NDArray[np.uint8]) -> LayerDataTuple:
+        assert self.mask is not None
+        candidates, seeds = analysed.candidates, self.seeds.name if self.seeds else None
+        used = self.mask, self.estimation, candidates.noise_variance, seeds
+        return in_focus_layer(self.plane, self.plane.counted(mask), *used, candidates.intensities)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Which lens fits a plane.
+
+    Attributes
+    ----------
+    plane : Plane
+    estimation : MapSettings
+        Its lens is compared with `COMPARED_PSFS`.
+    """
+
+    plane: Plane
+    estimation: MapSettings
+
+    def run(self, progress: Progress = silent) -> list[tuple[str, PSFEvidence]]:
+        """Return the lenses as text, and their evidence, the best first."""
+        from napari_defocus import compare_psf
+
+        settings = self.estimation
+        texts = dict.fromkeys([*COMPARED_PSFS, settings.psf])
+        text_of = {psf_of(text, settings.max_radius): text for text in texts}
+        picture = Picture.of(self.plane)
+        comparison = picture.call(
+            compare_psf,
+            picture.image,
+            list(text_of),
+            noise_variance=settings.noise_variance,
+            window=settings.window,
+            linearize=settings.linearize,
+            progress=progress,
+        )
+        return [(text_of[row.psf], row) for row in comparison]

@@ -1,0 +1,290 @@
+"""Candidates and blur map of a plane, kept between runs: no Qt, any thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.core.worker_process import run_elsewhere
+from napari_defocus.widgets.jobs.cache import KeptWork, fingerprint
+from napari_defocus.widgets.layers.image_layers import Plane
+
+if TYPE_CHECKING:
+    from napari_defocus import BlurCandidates, PSFFamily, ShotNoise
+    from napari_defocus.core.intensity import Intensities
+    from napari_defocus.labeling.problem import Ingredients
+
+Float32 = NDArray[np.float32]
+T = TypeVar("T")
+
+ESTIMATION_SHARE = 0.6
+"""Of the time of a map or a mask; the rest is labelling."""
+
+LARGE = 250_000
+"""In px: larger pictures are worked on in another process, as cuts would stop the window."""
+
+LARGEST_RADIUS = 20.0
+"""In px: forms let look up to it, and pictures are restored up to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A plane that was read.
+
+    Attributes
+    ----------
+    plane : Plane
+    image : (H, W) or (H, W, 3) or (H, W, 4) ndarray
+    """
+
+    plane: Plane
+    image: NDArray[Any]
+
+    @classmethod
+    def of(cls, plane: Plane) -> Self:
+        """Read a plane, see `Plane.read`."""
+        return cls(plane, plane.read())
+
+    @property
+    def is_large(self) -> bool:
+        """Whether work on it would stop the window if it were done in a thread."""
+        return bool(np.prod(self.image.shape[:2]) > LARGE)
+
+    def call(self, function: Callable[..., T], *args: Any, **keywords: Any) -> T:
+        """Call a function of ours: in another process if the picture is large."""
+        if self.is_large:
+            return run_elsewhere(function, *args, **keywords)
+        return function(*args, **keywords)
+
+    @cached_property
+    def key(self) -> tuple[Any, ...]:
+        """What tells it from other pictures."""
+        return (fingerprint(self.image),)
+
+    @cached_property
+    def intensities(self) -> Intensities:
+        """Which intensities are 0 and 1, as they are found."""
+        from napari_defocus.core.image import prepare_image
+
+        return prepare_image(self.image).intensities
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatedMap:
+    """A blur map with its confidence.
+
+    Attributes
+    ----------
+    values : (H, W) float32 ndarray
+        Scale in px.
+    safe : (H, W) float32 ndarray
+        How much of it is safe to take away, in px.
+    confidence : (H, W) float32 ndarray
+        In [0, 1].
+    noise_variance : float
+        The variance that was used, found or given.
+    psf : PSFFamily
+    intensities : Intensities or None
+        What the variance is measured in.
+    """
+
+    values: Float32
+    safe: Float32
+    confidence: Float32
+    noise_variance: float
+    psf: PSFFamily
+    intensities: Intensities | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Analysed:
+    """What is known of a plane.
+
+    Attributes
+    ----------
+    picture : Picture
+    settings : MapSettings
+        What it was estimated with.
+    candidates : BlurCandidates
+    blur_map : EstimatedMap or None
+        None if none was made yet with these settings.
+    name : str
+        Tells the candidates from all others.
+    """
+
+    picture: Picture
+    settings: MapSettings
+    candidates: BlurCandidates
+    blur_map: EstimatedMap | None = None
+    name: str = field(default_factory=lambda: uuid4().hex)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is labelled in another process, and a preview is worth it."""
+        return self.picture.is_large
+
+    def on_scene(
+        self,
+        function: Callable[..., Any],
+        *,
+        lane: str = "",
+        progress: Progress = silent,
+        **keywords: Any,
+    ) -> Any:
+        """Call a function of a `Scene` in another process, which remembers this one.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module of ours.
+        lane : str, optional
+            See `run_elsewhere`.
+        progress : callable, optional
+        **keywords
+            Of the function.
+        """
+        from napari_defocus.labeling.problem import UnknownSceneError, with_scene
+
+        def call(ingredients: Ingredients | None) -> Any:
+            return run_elsewhere(
+                with_scene,
+                *(function, self.name, ingredients),
+                lane=lane,
+                progress=progress,
+                **keywords,
+            )
+
+        try:
+            return call(None)
+        except UnknownSceneError:
+            return call((self.candidates, self.picture.image, None))
+
+
+def analysed_picture(
+    picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
+) -> Analysed:
+    """Return the candidates of a picture: those of an earlier run, if nothing has changed."""
+    layer, key = picture.plane.layer, _candidates_key(picture, settings)
+    found = kept.analysed.known(layer, key)
+    if found is None:
+        found = Analysed(picture, settings, _candidates(picture, settings, progress))
+        kept.analysed.keep(layer(), key, found)
+    return found
+
+
+def _candidates(picture: Picture, settings: MapSettings, progress: Progress) -> BlurCandidates:
+    from napari_defocus import estimate_candidates, estimate_shot_noise
+    from napari_defocus.compilation import compile_kernels
+
+    picture.call(compile_kernels, progress=progress)
+    common: dict[str, Any] = {"linearize": settings.linearize}
+    noise: float | ShotNoise | None = settings.noise_variance
+    if settings.shot_noise:
+        progress("Measuring the noise", 0.0)
+        noise = estimate_shot_noise(picture.image, **common)
+    return picture.call(
+        estimate_candidates,
+        picture.image,
+        psf=settings.family(),
+        noise_variance=noise,
+        window=settings.window,
+        stride=settings.stride,
+        mode=settings.mode,
+        **common,
+        progress=progress,
+    )
+
+
+def weights_of(settings: MapSettings) -> dict[str, Any]:
+    """Return what labels candidates, as keywords of `label_blur_map`."""
+    return {"smoothness": settings.smoothness, "color_sigma": settings.color_sigma}
+
+
+def same_candidates(first: MapSettings, second: MapSettings) -> bool:
+    """Tell whether settings differ at most in what labels candidates."""
+    alike = replace(first, **weights_of(second))
+    return alike == second and first.family() == second.family()
+
+
+def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
+    """Return all that candidates depend on."""
+    return (
+        *(*picture.key, settings.noise_variance, settings.shot_noise, settings.family()),
+        *(settings.window, settings.stride, settings.mode, settings.linearize),
+    )
+
+
+def estimated_map(
+    picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
+) -> EstimatedMap:
+    """Return the blur map of a picture: that of an earlier run, if nothing has changed."""
+    layer, candidates_key = picture.plane.layer, _candidates_key(picture, settings)
+
+    def estimate() -> EstimatedMap:
+        share = 0.0 if kept.analysed.known(layer, candidates_key) else ESTIMATION_SHARE
+        analysed = analysed_picture(picture, settings, kept, within(progress, 0.0, share))
+        return _labelled_map(analysed, settings, within(progress, share, 1.0))
+
+    found = kept.maps.get(layer, _key(picture, settings), estimate)
+    analysed = kept.analysed.known(layer, candidates_key)
+    if analysed is not None:
+        analysed = replace(analysed, settings=settings, blur_map=found)
+        kept.analysed.keep(layer(), candidates_key, analysed)
+    return found
+
+
+def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress) -> EstimatedMap:
+    from napari_defocus import cautious_blur_map, confidence_map, label_blur_map
+
+    candidates, picture = analysed.candidates, analysed.picture
+    weights = weights_of(settings)
+    labelling = within(progress, 0.0, 0.8)
+    measuring = "Measuring the confidence"
+    if analysed.is_large:
+        from napari_defocus.labeling.blur_map import blur_map_of_scene, confidence_of_scene
+
+        values = analysed.on_scene(blur_map_of_scene, progress=labelling, **weights)
+        sure, safe = analysed.on_scene(
+            confidence_of_scene, blur_map=values, progress=within(progress, 0.8, 1.0, measuring)
+        )
+    else:
+        values = label_blur_map(candidates, picture.image, progress=labelling, **weights)
+        progress(measuring, 0.8)
+        sure = confidence_map(candidates, values)
+        safe = cautious_blur_map(candidates, values)
+    used = candidates.noise_variance, candidates.psf, candidates.intensities
+    return EstimatedMap(values, safe, sure, *used)
+
+
+def known_map(picture: Picture, settings: MapSettings, kept: KeptWork) -> EstimatedMap | None:
+    """Return the blur map of a picture if an earlier run has estimated it."""
+    return kept.maps.known(picture.plane.layer, _key(picture, settings))
+
+
+def _key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
+    return *picture.key, settings, settings.family()
+
+
+def segmented(
+    analysed: Analysed,
+    settings: MaskSettings,
+    seeds: NDArray[np.integer] | None,
+    progress: Progress,
+) -> NDArray[np.uint8]:
+    """Return the in-focus mask of a plane, see `napari_defocus.segment_in_focus`."""
+    from napari_defocus import segment_in_focus
+
+    keywords = {**asdict(settings), "seeds": seeds, "progress": progress}
+    if analysed.is_large:
+        from napari_defocus.labeling.segmentation import mask_of_scene
+
+        return analysed.on_scene(mask_of_scene, **keywords)
+    return segment_in_focus(analysed.candidates, analysed.picture.image, **keywords)

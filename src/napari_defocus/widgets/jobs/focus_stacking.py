@@ -1,0 +1,250 @@
+"""What one run does with a stack through focus: the sharpest plane of each pixel. No Qt."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from napari.types import LayerDataTuple
+from napari.utils.transforms import CompositeAffine
+from numpy.typing import NDArray
+
+from napari_defocus.core.axes import known_axis
+from napari_defocus.core.progress import Progress, silent
+from napari_defocus.core.settings import CONFIDENT, MapSettings
+from napari_defocus.core.worker_process import run_elsewhere
+from napari_defocus.io.lazy_arrays import Carried
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.tiled_job import as_dask
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, check_pixels
+from napari_defocus.widgets.layers.result_metadata import (
+    BEST_FOCUS,
+    FOCUS_CONFIDENCE,
+    METADATA_KEY,
+    SHARPEST,
+    Results,
+    provenance,
+)
+
+if TYPE_CHECKING:
+    from napari_defocus.stacks.focus_stacking import SharpestPlane
+
+COLOR_MAP = "turbo"
+"""Positions have no best end, unlike a blur."""
+
+NO_PLANES = "it has no planes beside the one that is shown."
+CHANNELS_ONLY = (
+    "channels are no planes through focus. If these are planes, call their axis z "
+    "(the layer's axis_labels)."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BestFocus:
+    """Where each pixel of a stack is in focus, and a picture of the sharpest pixels.
+
+    Attributes
+    ----------
+    plane : Plane
+        One of the stack, or a part of it; the others lie along `axis`.
+    axis : int
+        Of the layer: along which the focus changes.
+    settings : MapSettings
+        Lens, noise, smoothness; its window and stride are not used.
+    px_per_plane : float or None
+        By how many px the radius grows from plane to plane; None to find it.
+
+    Examples
+    --------
+    In a script, without a window:
+
+    >>> import numpy as np
+    >>> from napari.components import ViewerModel
+    >>> from napari_defocus.widgets.jobs.cache import KeptWork
+    >>> from napari_defocus.widgets.layers.image_layers import shown_plane
+    >>> from napari_defocus.widgets.display.add_results import show_results
+    >>> viewer = ViewerModel()
+    >>> stack = viewer.add_image(np.random.default_rng(0).random((3, 60, 70)), name="sweep")
+    >>> wanted = BestFocus(plane=shown_plane(stack, viewer.dims), axis=0, settings=MapSettings())
+    >>> [layer.name for layer in show_results(viewer, wanted.run(KeptWork()).layers)]
+    ['sweep sharpest', 'sweep best focus (plane)', 'sweep best focus confidence']
+    """
+
+    plane: Plane
+    axis: int
+    settings: MapSettings
+    px_per_plane: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse, before any work is done, what cannot be."""
+        self.settings.family()
+        if not isinstance(self.plane.index[self.axis], int):
+            raise NotAnalysableError("the focus must change along a slider of it.")
+        if known_axis(self._label_of_axis) == "c":
+            raise NotAnalysableError(CHANNELS_ONLY)
+        if self.count < 2:
+            raise NotAnalysableError("it has a single plane there; two or more are compared.")
+        if self.px_per_plane is not None and not 0 < self.px_per_plane < np.inf:
+            raise ValueError(
+                f"The px a plane are “{self.px_per_plane:g}”. Type a number above 0, or leave "
+                "the field empty to have it found."
+            )
+        check_pixels(self.plane.shape)
+
+    @property
+    def _label_of_axis(self) -> str:
+        return str(self.plane.placement["axis_labels"][self.axis])
+
+    @property
+    def count(self) -> int:
+        """How many planes are compared."""
+        return int(self.plane.data.shape[self.axis])
+
+    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+        """Return the picture, the positions and their confidence as layers.
+
+        Parameters
+        ----------
+        kept : KeptWork
+            Nothing is added.
+        progress : callable, optional
+            See `napari_defocus.core.progress`.
+
+        Raises
+        ------
+        ValueError
+            If a plane has infinite pixels.
+        """
+        progress("Reading the planes", 0.0)
+        settings = self.settings
+        found = run_elsewhere(
+            sharpest_of,
+            Carried(self._stack()),
+            progress=progress,
+            axes=self._axes(),
+            px_per_plane=self.px_per_plane,
+            psf=settings.family(),
+            noise_variance=settings.noise_variance,
+            smoothness=settings.smoothness,
+            color_sigma=settings.color_sigma,
+            linearize=settings.linearize,
+        )
+        return Results(self._layers(found), self._summary(found))
+
+    def _stack(self) -> Any:
+        index = list(self.plane.index)
+        index[self.axis] = slice(None)
+        data = self.plane.data
+        # Zarr reads at an index; dask's arrays, and views of numpy's, wait until they are asked.
+        if not isinstance(data, np.ndarray):
+            data = as_dask(data, self._axes_of_data())
+        return data[tuple(index)]
+
+    def _axes_of_data(self) -> str:
+        picture = iter("yx")
+        letters = (next(picture) if isinstance(at, slice) else "p" for at in self.plane.index)
+        own = "".join(letters)
+        return own + "s" * (self.plane.data.ndim - len(own))
+
+    def _axes(self) -> str:
+        """Return the letters of the axes of the stack."""
+        picture = iter("yx")
+        own = "".join(
+            "z" if axis == self.axis else next(picture)
+            for axis, at in enumerate(self.plane.index)
+            if axis == self.axis or isinstance(at, slice)
+        )
+        return own + "s" * (self.plane.data.ndim - len(self.plane.index))
+
+    def _layers(self, found: SharpestPlane) -> list[LayerDataTuple]:
+        name, last = self.plane.name, float(self.count - 1)
+        low, high = self.plane.contrast_limits
+        rgb = found.composite.ndim == 3
+        picture = {"rgb": rgb} | ({} if rgb else {"contrast_limits": (low, high)})
+        position = {"colormap": COLOR_MAP, "contrast_limits": (0.0, last), "visible": False}
+        sure = {"colormap": "gray", "contrast_limits": (0.0, 1.0), "visible": False}
+        return [
+            self._layer(found, SHARPEST, f"{name} sharpest", found.composite, picture),
+            self._layer(found, BEST_FOCUS, f"{name} best focus (plane)", found.position, position),
+            self._layer(
+                found,
+                FOCUS_CONFIDENCE,
+                f"{name} best focus confidence",
+                found.confidence,
+                sure,
+            ),
+        ]
+
+    def _layer(
+        self,
+        found: SharpestPlane,
+        result: str,
+        name: str,
+        values: NDArray[Any],
+        looks: dict[str, Any],
+    ) -> LayerDataTuple:
+        settings = asdict(self.settings) | {"px_per_plane": self.px_per_plane, "axis": self.axis}
+        metadata = provenance(
+            self.plane,
+            result,
+            settings,
+            noise_variance=found.noise_variance,
+            intensities=found.intensities.facts(),
+            px_per_plane=found.px_per_plane,
+            share_of_plane=found.share_of_plane.tolist(),
+        )
+        placed = _of_all_planes(self.plane.placement) if self._is_plain else None
+        if placed is None:
+            values, placed = self.plane.expanded(values), self.plane.placement
+        else:
+            metadata[METADATA_KEY]["at"] = [None, None]
+        return LayerDataTuple(
+            (values, {"name": name, "metadata": metadata, **looks, **placed}, "image")
+        )
+
+    @property
+    def _is_plain(self) -> bool:
+        """Whether the stack has one slider, before its rows and columns."""
+        return len(self.plane.index) == 3 and self.axis == 0
+
+    def _summary(self, found: SharpestPlane) -> str:
+        share = found.share_of_plane[found.best]
+        lines = [f"Plane {found.best} (from 0) is the sharpest on {share:.0%}"]
+        if np.isfinite(found.px_per_plane):
+            how = "found" if self.px_per_plane is None else "given"
+            lines.append(f"The blur grows by {found.px_per_plane:.2f} px a plane ({how})")
+        else:
+            lines.append("There is no texture to find by how much the blur grows.")
+        sure = (found.confidence >= CONFIDENT).mean()
+        lines.append(f"Confidence {CONFIDENT:g} or more on {sure:.0%}")
+        if known_axis(self._label_of_axis) == "t":
+            lines.append(f"“{self._label_of_axis}” was taken for focus")
+        return "\n".join(lines)
+
+
+def sharpest_of(stack: Carried, *, progress: Progress, **settings: Any) -> SharpestPlane:
+    """Return `napari_defocus.sharpest_plane` of a stack that was sent: in another process."""
+    from napari_defocus import sharpest_plane
+
+    return sharpest_plane(stack.array, progress=progress, **settings)
+
+
+def _of_all_planes(placed: dict[str, Any]) -> dict[str, Any] | None:
+    """Return where a picture lies that is seen at all planes; None if planes are tilted."""
+    names = ("scale", "translate", "rotate", "shear")
+    in_layer = CompositeAffine(**{name: placed[name] for name in names}, ndim=3)
+    affine = np.asarray(placed["affine"], float)
+    for matrix in (in_layer.linear_matrix, affine[:3, :3]):
+        if matrix[0, 1:].any() or matrix[1:, 0].any():
+            return None
+    flat = in_layer.set_slice([1, 2])
+    return {
+        "scale": flat.scale,
+        "translate": flat.translate,
+        "rotate": flat.rotate,
+        "shear": flat.shear,
+        "affine": affine[1:, 1:],
+        "units": placed["units"][1:],
+        "axis_labels": placed["axis_labels"][1:],
+    }

@@ -1,0 +1,226 @@
+"""A picture restored, and seen with another focus: no Qt, any thread."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from napari.types import LayerDataTuple
+from numpy.typing import NDArray
+
+from napari_defocus.core.intensity import Intensities
+from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.settings import CONFIDENT, Linearize, RefocusSettings, RestorationSettings
+from napari_defocus.widgets.jobs.cache import KeptWork, fingerprint
+from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource
+from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.result_metadata import (
+    ALL_IN_FOCUS,
+    REFOCUSED,
+    Results,
+    provenance,
+    told_of_noise,
+)
+
+Float32 = NDArray[np.float32]
+
+_LITTLE = 0.5
+"""Of the range: 12 bits in 16 would be black."""
+
+_MAP_SHARE = 0.3
+_RESTORED = 0.9
+"""What share of the time has gone, when the map is known, and when the picture is restored."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Restoration:
+    """An all-in-focus picture that is wanted of a plane.
+
+    Attributes
+    ----------
+    plane : Plane
+    source : MapSource
+        Where its blur map comes from.
+    settings : RestorationSettings
+    linearize : {"srgb"} or None
+        Whether the blur is taken away in linear light.
+    protect : bool
+        Whether places of low confidence are changed less.
+    """
+
+    plane: Plane
+    source: MapSource
+    settings: RestorationSettings
+    linearize: Linearize | None = None
+    protect: bool = True
+
+    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+        """Return the all-in-focus picture as a layer, after those of its map if it was estimated.
+
+        Parameters
+        ----------
+        kept : KeptWork
+            What earlier runs have found; what this one finds is added.
+        progress : callable, optional
+            See `napari_defocus.core.progress`.
+        """
+        made = self.made(kept, progress)
+        layer = _picture_layer(self, made, made.sharp, ALL_IN_FOCUS)
+        return Results([*made.blur_map.layers, layer], self.summary(made))
+
+    def made(self, kept: KeptWork, progress: Progress) -> Restored:
+        """Return the restored picture: that of an earlier run, if nothing has changed."""
+        from napari_defocus import estimate_noise_variance, restore_all_in_focus
+
+        picture = Picture.of(self.plane)
+        progress("Reading the picture", 0.0)
+        blur_map = self.source.read(picture, kept, within(progress, 0.0, _MAP_SHARE))
+        values = blur_map.checked_for_restoration()
+        confidence = blur_map.confidence if self.protect else None
+        if self.protect and blur_map.safe is not None:
+            values = blur_map.safe
+        progress("Measuring the noise", _MAP_SHARE)
+        common: dict[str, Any] = {"linearize": self.linearize}
+        noise_variance = self.settings.noise_variance
+        if noise_variance is None:
+            noise_variance = estimate_noise_variance(picture.image, **common)
+        key = (
+            *(*picture.key, fingerprint(values), blur_map.psf, noise_variance),
+            *(self.settings.tv_weight, self.linearize),
+            None if confidence is None else fingerprint(confidence),
+        )
+
+        def restore() -> Float32:
+            return picture.call(
+                restore_all_in_focus,
+                picture.image,
+                values,
+                psf=blur_map.psf,
+                noise_variance=noise_variance,
+                confidence=confidence,
+                tv_weight=self.settings.tv_weight,
+                **common,
+                progress=within(progress, _MAP_SHARE, 1.0),
+            )
+
+        sharp = kept.restored.get(self.plane.layer, key, restore)
+        return Restored(picture, blur_map, sharp, noise_variance)
+
+    def summary(self, made: Restored) -> str:
+        """Return what there is to say about what was made."""
+        lines = [told_of_noise(self.settings.noise_variance, [made.noise_variance])]
+        confidence = made.blur_map.confidence
+        if confidence is not None:
+            share = (confidence >= CONFIDENT).mean()
+            lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
+        elif self.protect:
+            lines.append("Nothing is protected: the map has no confidence layer.")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True, eq=False)
+class Restored:
+    """What a restoration has made.
+
+    Attributes
+    ----------
+    picture : Picture
+    blur_map : BlurMap
+    sharp : (H, W) or (H, W, 3) float32 ndarray
+        In [0, 1].
+    noise_variance : float
+        The variance that was used, found or given.
+    """
+
+    picture: Picture
+    blur_map: BlurMap
+    sharp: Float32
+    noise_variance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refocusing:
+    """A picture with another focus that is wanted of a plane.
+
+    Attributes
+    ----------
+    restoration : Restoration
+        What is blurred again.
+    view : RefocusSettings
+        How.
+    """
+
+    restoration: Restoration
+    view: RefocusSettings
+
+    @property
+    def plane(self) -> Plane:
+        """What it is made of."""
+        return self.restoration.plane
+
+    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+        """Return the picture as a layer, after those of its map if it was estimated.
+
+        Parameters
+        ----------
+        kept : KeptWork
+            What earlier runs have found; what this one finds is added. With another view
+            of the same restored picture, that one is only blurred again.
+        progress : callable, optional
+            See `napari_defocus.core.progress`.
+        """
+        from napari_defocus import change_focus
+
+        made = self.restoration.made(kept, within(progress, 0.0, _RESTORED))
+        progress("Blurring again", _RESTORED)
+        seen = made.picture.call(
+            change_focus,
+            made.picture.image,
+            made.blur_map.values,
+            focus=self.view.focus,
+            aperture=self.view.aperture,
+            side=self.view.side,
+            psf=made.blur_map.psf,
+            all_in_focus=made.sharp,
+            linearize=self.view.linearize,
+            progress=within(progress, _RESTORED, 1.0),
+        )
+        layer = _picture_layer(self.restoration, made, seen, REFOCUSED, view=asdict(self.view))
+        return Results([*made.blur_map.layers, layer], self.restoration.summary(made))
+
+
+def _picture_layer(
+    wanted: Restoration, made: Restored, picture: Float32, result: str, **settings: Any
+) -> LayerDataTuple:
+    """Return a picture in [0, 1] as an image layer that lies on the plane."""
+    plane = wanted.plane
+    restoration = {
+        **asdict(wanted.settings),
+        "linearize": wanted.linearize,
+        "protect": wanted.protect,
+    }
+    settings = {"map": wanted.source.described(), "restoration": restoration, **settings}
+    keywords = {
+        "name": f"{plane.name} {result}",
+        "rgb": picture.ndim == 3,
+        "contrast_limits": _limits(plane, made.picture.intensities),
+        "metadata": provenance(
+            plane,
+            result,
+            settings,
+            noise_variance=made.noise_variance,
+            intensities=made.picture.intensities.facts(),
+            blur_map=made.blur_map.name,
+        ),
+        **plane.placement,
+    }
+    # A copy: what somebody paints on the layer is not kept.
+    return LayerDataTuple((plane.expanded(picture.copy()), keywords, "image"))
+
+
+def _limits(plane: Plane, intensities: Intensities) -> tuple[float, float]:
+    """Return how a picture in [0, 1] is shown: as its plane, if that fills little of the range."""
+    low, high = ((limit - intensities.low) / intensities.span for limit in plane.contrast_limits)
+    return (low, high) if 0 < high - low < _LITTLE else (0.0, 1.0)

@@ -1,0 +1,317 @@
+"""What one run does with all planes of a stack, one after the other: no Qt, any thread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+from napari.layers import Labels
+from napari.types import LayerDataTuple
+from numpy.typing import NDArray
+
+from napari_defocus.core.progress import Progress, silent
+from napari_defocus.core.settings import CONFIDENT, MapSettings, MaskSettings
+from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.widgets.jobs.analysis import Analysis
+from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
+from napari_defocus.widgets.layers.result_metadata import (
+    BLUR_MAP,
+    CONFIDENCE,
+    IN_FOCUS,
+    METADATA_KEY,
+    PLANES,
+    Results,
+    told_of_noise,
+)
+from napari_defocus.widgets.layers.result_stores import (
+    UNTIL_CLOSED,
+    Place,
+    letters_of,
+    said_to_users,
+    whole_or_gone,
+)
+from napari_defocus.widgets.layers.seeds import seeds_of_plane
+
+MOST_IN_MEMORY = 1_000_000_000
+"""In bytes: results that fill more are kept on the disk."""
+
+Position = tuple[int, ...]
+"""Where a plane is along the axes that are not displayed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StackAnalysis:
+    """What is wanted of all planes of a stack.
+
+    Attributes
+    ----------
+    plane : Plane
+        One of them, or a part of it, such as the one that is shown; the others are those at all
+        other positions of the axes that are not displayed. Of a single picture, there are none.
+    estimation : MapSettings
+        What the candidates are estimated with, and the maps labelled.
+    mask : MaskSettings or None
+        What is segmented with; None for no mask.
+    seeds : napari.layers.Labels or None
+        What the mask keeps to. Each plane has its own if the layer has the axes of the stack.
+    blur_map : bool
+        Whether a blur map is wanted.
+    confidence : bool
+        Whether the blur map's confidence is wanted too.
+    place : Place
+        Where results are kept that do not fit into memory, see `is_large`.
+    """
+
+    plane: Plane
+    estimation: MapSettings
+    mask: MaskSettings | None = None
+    seeds: Labels | None = None
+    blur_map: bool = True
+    confidence: bool = True
+    place: Place = UNTIL_CLOSED
+
+    def __post_init__(self) -> None:
+        """Refuse, before any work is done, impossible settings, seeds, and too much of all."""
+        self.of_plane(self.plane)
+        if self.is_large:
+            self.place.check_room(self._size)
+            self._letters()
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the results do not fit into memory, and are kept in stores."""
+        return self._size > MOST_IN_MEMORY
+
+    @property
+    def _size(self) -> int:
+        """Return how many bytes the results fill."""
+        sizes = (np.dtype(dtype).itemsize for dtype in self._dtypes().values())
+        return sum(sizes) * int(np.prod(self.shape))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the results: the layer's, or that of the parts."""
+        sizes = iter(self.plane.shape)
+        lengths = zip(self.plane.data.shape, self.plane.index, strict=False)
+        return tuple(length if isinstance(at, int) else next(sizes) for length, at in lengths)
+
+    def positions(self) -> Iterator[Position]:
+        """Return where the planes are along the axes that are not displayed, in order."""
+        return product(*(range(self.plane.data.shape[axis]) for axis in self.plane.sliders))
+
+    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+        """Return the wanted results as layers that lie on the stack.
+
+        A plane that cannot be analysed is NaN in the map and 0 in the mask and the confidence;
+        the summary and the metadata say why.
+
+        Parameters
+        ----------
+        kept : KeptWork
+            What earlier runs have found; what this one finds of `plane` is added, and of no
+            other plane.
+        progress : callable, optional
+            See `napari_defocus.core.progress`.
+
+        Raises
+        ------
+        NotAnalysableError
+            If no plane can be analysed.
+        """
+        if not self.is_large:
+            return self._analysed(
+                {name: self._empty(name) for name in self._dtypes()}, kept, progress
+            )
+        writers: dict[str, OmeZarrWriter] = {}
+        with whole_or_gone(writers), said_to_users():
+            for name in self._dtypes():
+                writers[name] = self._new_store(name)
+            return self._analysed(writers, kept, progress)
+
+    def _analysed(self, values: Mapping[str, Any], kept: KeptWork, progress: Progress) -> Results:
+        found = _Found(values)
+        positions = list(self.positions())
+        for number, position in enumerate(positions):
+            plane = self.plane.at_position(position)
+            # Candidates of one plane may be as large as the results of many.
+            memory = kept if plane == self.plane else KeptWork()
+            reported = _of_one(progress, number, len(positions))
+            reported("Reading the picture", 0.0)
+            try:
+                layers = self.of_plane(plane).run(memory, reported)
+            except ValueError as reason:
+                found.refused[position] = str(reason)
+                found.leave_out(plane)
+            else:
+                found.take(layers, plane, position)
+        if len(found.refused) == len(positions):
+            raise NotAnalysableError(next(iter(found.refused.values())))
+        return Results(self._layers(found), self._summary(found))
+
+    def of_plane(self, plane: Plane) -> Analysis:
+        """Return what is wanted of one plane."""
+        return Analysis(
+            plane=plane,
+            estimation=self.estimation,
+            mask=self.mask,
+            seeds=None if self.seeds is None else seeds_of_plane(self.seeds, plane),
+            blur_map=self.blur_map,
+            confidence=self.confidence,
+        )
+
+    def _dtypes(self) -> dict[str, type]:
+        """Return the dtypes of the wanted results."""
+        wanted: dict[str, type] = {BLUR_MAP: np.float32} if self.blur_map else {}
+        if self.blur_map and self.confidence:
+            wanted[CONFIDENCE] = np.float32
+        return wanted | ({IN_FOCUS: np.uint8} if self.mask is not None else {})
+
+    def _empty(self, result: str) -> NDArray[Any]:
+        return np.full(self.shape, _unknown(result), self._dtypes()[result])
+
+    def _letters(self) -> str:
+        plane = self.plane
+        return letters_of(plane.placement["axis_labels"], plane.sliders, len(plane.index))
+
+    def _new_store(self, result: str) -> OmeZarrWriter:
+        return self.place.new_store(
+            result,
+            self.plane,
+            axes=dict(zip(self._letters(), range(len(self.shape)), strict=True)),
+            shape=self.shape,
+            dtype=self._dtypes()[result],
+            estimation=self.estimation,
+            mask=self.mask,
+        )
+
+    def _layers(self, found: _Found) -> list[LayerDataTuple]:
+        """Return what was found as layers like those of one plane, lying where the first one is."""
+        first = self.plane.at_position(next(self.positions()))
+        of_all = {
+            "noise_variance": float(np.median(list(found.noise_variances.values()))),
+            PLANES: self._told_of_planes(found),
+        }
+        layers = []
+        for result, (keywords, kind) in found.looks.items():
+            values = found.values[result]
+            made = keywords["metadata"][METADATA_KEY] | of_all
+            # Each plane has its own.
+            made.pop("intensities", None)
+            keywords = keywords | first.placement | {"metadata": {METADATA_KEY: made}}
+            layer = LayerDataTuple((values, keywords, kind))
+            if isinstance(values, OmeZarrWriter):
+                layer = self.place.layer(layer, values.finish(), self._letters())
+            layers.append(layer)
+        return layers
+
+    def _told_of_planes(self, found: _Found) -> dict[str, Any]:
+        return {
+            "axes": self.plane.sliders,
+            "noise_variances": [found.noise_variances.get(at) for at in self.positions()],
+            "intensities": [found.intensities.get(at) for at in self.positions()],
+            "not analysed": {str(_named(at)): why for at, why in found.refused.items()},
+        }
+
+    def _summary(self, found: _Found) -> str:
+        variances = list(found.noise_variances.values())
+        count = len(variances)
+        noise = told_of_noise(self.estimation.noise_variance, variances)
+        lines = [f"{count} plane{'s' * (count != 1)}", noise]
+        if CONFIDENCE in found.values:
+            share = found.share_sure()
+            lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
+        kept = [self.place.told()] * self.is_large
+        return "\n".join([*lines, *found.told_refused(), *kept])
+
+
+def may_be_large(plane: Plane, *, blur_map: bool, mask: bool) -> bool:
+    """Tell whether results of all planes, a confidence among them, do not fit into memory."""
+    count = np.prod([plane.data.shape[axis] for axis in plane.sliders])
+    return bool(count * np.prod(plane.shape) * (8 * blur_map + mask) > MOST_IN_MEMORY)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found until now.
+
+    Attributes
+    ----------
+    values : mapping of str to ndarray or OmeZarrWriter
+        The results of the whole stack, in memory or on the disk.
+    looks : dict
+        What layers of them look like: the keywords and the type of those of one plane.
+    noise_variances : dict
+        Of the planes that were analysed.
+    intensities : dict
+        What the variances are measured in.
+    refused : dict
+        Why the others were not.
+    sure : list of float
+        The share of each analysed plane whose confidence is high.
+    """
+
+    values: Mapping[str, Any]
+    looks: dict[str, tuple[dict[str, Any], str]] = field(default_factory=dict)
+    noise_variances: dict[Position, float] = field(default_factory=dict)
+    intensities: dict[Position, dict[str, Any] | None] = field(default_factory=dict)
+    refused: dict[Position, str] = field(default_factory=dict)
+    sure: list[float] = field(default_factory=list)
+
+    def take(self, layers: list[LayerDataTuple], plane: Plane, position: Position) -> None:
+        """Put the results of one plane into their place."""
+        at = _whole(plane)
+        only = tuple(0 if isinstance(n, int) else slice(None) for n in plane.index)
+        for data, keywords, kind in layers:
+            made = keywords["metadata"][METADATA_KEY]
+            self.values[made["result"]][at] = data[only]
+            self.looks[made["result"]] = keywords, kind
+            self.noise_variances[position] = made["noise_variance"]
+            self.intensities[position] = made["intensities"]
+            if made["result"] == CONFIDENCE:
+                self.sure.append(float((data >= CONFIDENT).mean()))
+
+    def leave_out(self, plane: Plane) -> None:
+        """Say of a plane that could not be analysed that nothing is known."""
+        for result, values in self.values.items():
+            if isinstance(values, OmeZarrWriter):
+                values[_whole(plane)] = np.full(plane.shape, _unknown(result), values.dtype)
+
+    def share_sure(self) -> float:
+        """Return the share of the analysed pixels whose confidence is high."""
+        return float(np.mean(self.sure))
+
+    def told_refused(self) -> list[str]:
+        """Return a line for every reason why planes were not analysed."""
+        planes_of: dict[str, list[str]] = {}
+        for position, reason in self.refused.items():
+            planes_of.setdefault(reason, []).append(str(_named(position)))
+        return [
+            f"Not analysed: plane{'s' * (len(names) != 1)} {', '.join(names)} (from 0): {reason}"
+            for reason, names in planes_of.items()
+        ]
+
+
+def _unknown(result: str) -> float:
+    return np.nan if result == BLUR_MAP else 0
+
+
+def _whole(plane: Plane) -> tuple[int | slice, ...]:
+    """Return where the results of a plane are among those of all."""
+    return tuple(n if isinstance(n, int) else slice(None) for n in plane.index)
+
+
+def _named(position: Position) -> int | Position:
+    return position[0] if len(position) == 1 else position
+
+
+def _of_one(progress: Progress, number: int, count: int) -> Progress:
+    """Return a callback for the work on one plane that names it, counted from 1."""
+
+    def report(step: str, done: float) -> None:
+        progress(f"Plane {number + 1} of {count}: {step}", (number + done) / count)
+
+    return report

@@ -1,0 +1,1 @@
+"""From layers to arrays, and what layers of ours are."""

@@ -1,0 +1,109 @@
+"""What the user has set in napari's Preferences: with what forms begin.
+
+No Qt here, as in `layers`. The choices and their defaults are in the manifest.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from napari.settings import get_plugin_settings
+from napari.utils.notifications import show_warning
+
+from napari_defocus import Settings
+from napari_defocus.core.settings import (
+    CONFIDENT,
+    MapSettings,
+    MaskSettings,
+    check_confidence,
+    check_threshold,
+    usual_threshold,
+)
+
+PLUGIN = "napari-defocus"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisplaySettings:
+    """How results are shown.
+
+    Attributes
+    ----------
+    min_confidence : float
+        The map is dimmed where its confidence is below, in [0, 1].
+    live : bool
+        Whether results follow the settings while they are changed.
+    keep_earlier : bool
+        Whether new results are put beside earlier ones, not in their place.
+    """
+
+    min_confidence: float = CONFIDENT
+    live: bool = True
+    keep_earlier: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values."""
+        check_confidence("min_confidence", self.min_confidence)
+
+
+_Part = TypeVar("_Part", MapSettings, MaskSettings, DisplaySettings)
+
+
+def preferred_settings() -> Settings:
+    """Return the settings that forms begin with: those of Preferences, defaults for the rest.
+
+    A value that cannot be, because somebody has edited the file or a measured lens is gone, has
+    its default, and a warning says so. The threshold follows the lens, as in the forms, unless
+    Preferences say another one.
+
+    Returns
+    -------
+    Settings
+        All defaults where napari does not know the plugin.
+    """
+    said = _said()
+    estimation = _possible(MapSettings(), said.get("map", {}))
+    usual = usual_threshold(estimation.family())
+    mask = _possible(MaskSettings(), said.get("mask", {}))
+    if mask.threshold == MaskSettings.threshold:
+        mask = replace(mask, threshold=usual)
+    try:
+        check_threshold(mask.threshold, estimation.family().max_scale)
+    except ValueError as reason:
+        _warn(reason)
+        mask = replace(mask, threshold=min(usual, estimation.family().max_scale / 2))
+    return Settings(map=estimation, mask=mask)
+
+
+def preferred_display() -> DisplaySettings:
+    """Return how results are shown, as `preferred_settings` returns what shapes them."""
+    return _possible(DisplaySettings(), _said().get("display", {}))
+
+
+def _said() -> dict[str, dict[str, Any]]:
+    """Return what Preferences say, part by part; nothing where napari knows no such plugin."""
+    try:
+        return get_plugin_settings(PLUGIN).model_dump()
+    except KeyError:
+        return {}
+    # Whatever an edited file leads napari into.
+    except Exception as error:
+        _warn(error)
+        return {}
+
+
+def _possible(part: _Part, said: dict[str, Any]) -> _Part:
+    """Return a part with all that is said and can be; each thing that cannot is warned of."""
+    for key, value in said.items():
+        try:
+            changed = replace(part, **{key: value})
+            if isinstance(changed, MapSettings):
+                changed.family()
+            part = changed
+        except (TypeError, ValueError) as reason:
+            _warn(reason)
+    return part
+
+
+def _warn(reason: Exception) -> None:
+    told = str(reason).rstrip(".") or type(reason).__name__
+    show_warning(f"Preferences of Defocus: {told}. The default is used instead.")

@@ -1,0 +1,282 @@
+"""What the map, the mask and a measured lens look like as layers.
+
+No Qt here, as in `layers`.
+"""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from napari.types import LayerDataTuple
+from napari.utils.colormaps import DirectLabelColormap
+from numpy.typing import NDArray
+
+from napari_defocus import __version__
+from napari_defocus.core.axes import is_lazy
+from napari_defocus.core.intensity import Intensities
+from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.psf.families import PSFFamily
+from napari_defocus.psf.measured import MeasuredPSF
+from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.result_metadata import (
+    BLUR_MAP,
+    CONFIDENCE,
+    IN_FOCUS,
+    MEASURED_PSF,
+    METADATA_KEY,
+    NOT_TRUSTED,
+    PLACEMENT,
+    STORE,
+    provenance,
+)
+
+COLOR_MAP = "viridis"
+MASK_COLOR = (1.0, 0.2, 0.8, 1.0)
+"""Far from all colours of the map, and from those of most pictures."""
+MASK_OPACITY = 0.4
+CONFIDENCE_COLOR_MAP = "gray"
+KERNEL_COLOR_MAP = "magma"
+NOT_TRUSTED_COLOR = (0.8, 0.8, 0.8, 1.0)
+NOT_TRUSTED_OPACITY = 0.6
+"""A veil, no lid: the map is read through it, and what is seen is no colour of the map.
+
+A dark one is seen on yellow, but hardly on the purple of what is in focus.
+"""
+
+
+def blur_map_layer(
+    plane: Plane,
+    blur_map: NDArray[np.floating],
+    settings: MapSettings,
+    noise_variance: float,
+    psf: PSFFamily | None = None,
+    intensities: Intensities | None = None,
+) -> LayerDataTuple:
+    """Return a blur map as an image layer that lies on the plane.
+
+    Parameters
+    ----------
+    plane : Plane
+        What the map was estimated from.
+    blur_map : (H, W) float ndarray
+        Blur scale in px.
+    settings : MapSettings
+        What it was estimated with.
+    noise_variance : float
+        The variance that was used, found or given; intensities in [0, 1].
+    psf : PSFFamily, optional
+        The family of the settings, if it is at hand; its largest scale is the upper end of the
+        colour range.
+    intensities : Intensities, optional
+        What the variance is measured in.
+
+    Returns
+    -------
+    LayerDataTuple
+    """
+    psf = psf or settings.family()
+    what = "" if psf.scale_name.endswith("radius (px)") else psf.scale_name.removesuffix("(px)")
+    keywords = {
+        "name": f"{plane.name} blur {what}(px)",
+        "colormap": COLOR_MAP,
+        "contrast_limits": (0.0, float(psf.max_scale)),
+        "metadata": provenance(
+            plane,
+            BLUR_MAP,
+            asdict(settings),
+            noise_variance=float(noise_variance),
+            intensities=_told(intensities),
+            scale=psf.scale_name,
+        ),
+        **plane.placement,
+    }
+    return LayerDataTuple((plane.expanded(blur_map), keywords, "image"))
+
+
+def confidence_layer(
+    plane: Plane,
+    confidence: NDArray[np.floating],
+    settings: MapSettings,
+    noise_variance: float,
+    intensities: Intensities | None = None,
+) -> LayerDataTuple:
+    """Return the confidence of a blur map as an image layer that lies on the plane.
+
+    It is hidden at first: it would cover the map.
+
+    Parameters
+    ----------
+    plane : Plane
+        What the map was estimated from.
+    confidence : (H, W) float ndarray
+        In [0, 1].
+    settings : MapSettings
+        What the map was estimated with.
+    noise_variance : float
+        The variance that was used, found or given; intensities in [0, 1].
+    intensities : Intensities, optional
+        What the variance is measured in.
+
+    Returns
+    -------
+    LayerDataTuple
+    """
+    keywords = {
+        "name": f"{plane.name} confidence",
+        "colormap": CONFIDENCE_COLOR_MAP,
+        "contrast_limits": (0.0, 1.0),
+        "visible": False,
+        "metadata": provenance(
+            plane,
+            CONFIDENCE,
+            asdict(settings),
+            noise_variance=float(noise_variance),
+            intensities=_told(intensities),
+        ),
+        **plane.placement,
+    }
+    return LayerDataTuple((plane.expanded(confidence), keywords, "image"))
+
+
+def in_levels(layer: LayerDataTuple, levels: list[Any]) -> LayerDataTuple:
+    """Return a layer with a pyramid of lazy arrays, the largest first, instead of its data."""
+    _, keywords, kind = layer
+    # napari takes one level for none.
+    if len(levels) == 1:
+        return LayerDataTuple((levels[0], keywords, kind))
+    return LayerDataTuple((levels, {**keywords, "multiscale": True}, kind))
+
+
+def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> LayerDataTuple:
+    """Return what lies below a confidence as a labels layer: 1 there, 0 elsewhere.
+
+    It lies over the map like fog: what the map says there can still be read.
+
+    Parameters
+    ----------
+    confidence : LayerDataTuple
+        From `confidence_layer`, or of the layer that was made of it.
+    min_confidence : float
+        In [0, 1].
+
+    Returns
+    -------
+    LayerDataTuple
+    """
+    data, made_with, _ = confidence
+    levels = list(data) if made_with.get("multiscale") else [data]
+    made = dict(made_with["metadata"][METADATA_KEY])
+    made |= {"result": NOT_TRUSTED, "min_confidence": min_confidence}
+    made.pop(STORE, None)
+    keywords = {
+        "name": f"{made['source']} not trusted",
+        "colormap": fixed_colors({1: NOT_TRUSTED_COLOR}),
+        "opacity": NOT_TRUSTED_OPACITY,
+        "metadata": {METADATA_KEY: made},
+        **{name: made_with[name] for name in PLACEMENT},
+    }
+    covers = [
+        ((level if is_lazy(level) else np.asarray(level)) < min_confidence).astype(np.uint8)
+        for level in levels
+    ]
+    return in_levels(LayerDataTuple((covers[0], keywords, "labels")), covers)
+
+
+def in_focus_layer(
+    plane: Plane,
+    mask: NDArray[np.integer],
+    settings: MaskSettings,
+    estimation: MapSettings,
+    noise_variance: float,
+    seeds: str | None = None,
+    intensities: Intensities | None = None,
+) -> LayerDataTuple:
+    """Return an in-focus mask as a labels layer that lies on the plane.
+
+    Parameters
+    ----------
+    plane : Plane
+        What the mask was made from.
+    mask : (H, W) integer ndarray
+        1 in focus, 0 blurred.
+    settings : MaskSettings
+        What it was segmented with.
+    estimation : MapSettings
+        What the candidates were estimated with.
+    noise_variance : float
+        The variance that was used, found or given; intensities in [0, 1].
+    seeds : str, optional
+        Name of the layer of its seeds.
+    intensities : Intensities, optional
+        What the variance is measured in.
+
+    Returns
+    -------
+    LayerDataTuple
+    """
+    keywords = {
+        "name": f"{plane.name} in focus",
+        "colormap": fixed_colors({1: MASK_COLOR}),
+        "opacity": MASK_OPACITY,
+        "metadata": provenance(
+            plane,
+            IN_FOCUS,
+            {**asdict(estimation), **asdict(settings)},
+            noise_variance=float(noise_variance),
+            intensities=_told(intensities),
+            seeds=seeds,
+        ),
+        **plane.placement,
+    }
+    return LayerDataTuple((plane.expanded(mask), keywords, "labels"))
+
+
+def _told(intensities: Intensities | None) -> dict[str, Any] | None:
+    return None if intensities is None else intensities.facts()
+
+
+def fixed_colors(color_of: dict[int, tuple[float, ...]]) -> DirectLabelColormap:
+    """Return colours of labels; all others are transparent."""
+    transparent: dict[int | None, Any] = {None: "transparent", 0: "transparent"}
+    colors = DirectLabelColormap(color_dict=transparent | color_of)
+    # napari compiles this mapping when it is first used: better here, in the worker thread,
+    # than in the window's.
+    colors.map(np.zeros((1, 1), np.uint8))
+    return colors
+
+
+def kernels_layer(lens: MeasuredPSF, file: str, picture: Plane) -> LayerDataTuple:
+    """Return measured kernels as a stack, one plane a setting, brightest pixel 1 in each.
+
+    Parameters
+    ----------
+    lens : MeasuredPSF
+    file : str
+        Where it was saved.
+    picture : Plane
+        One of those that it was measured from, whose pixels are as large.
+
+    Returns
+    -------
+    LayerDataTuple
+        Its metadata have the scales, in px, and the file.
+    """
+    kernels = lens.kernels / lens.kernels.max(axis=(1, 2), keepdims=True)
+    made = {
+        "version": __version__,
+        "result": MEASURED_PSF,
+        "file": file,
+        "scales": lens.scales.tolist(),
+        "provenance": dict(lens.provenance),
+    }
+    keywords = {
+        "name": f"{Path(file).stem} kernels",
+        "colormap": KERNEL_COLOR_MAP,
+        "contrast_limits": (0.0, 1.0),
+        "metadata": {METADATA_KEY: made},
+        "scale": (1.0, *picture.placement["scale"][-2:]),
+        "units": (picture.placement["units"] * 3)[-3:],
+        "axis_labels": ("setting", "y", "x"),
+    }
+    return LayerDataTuple((kernels, keywords, "image"))

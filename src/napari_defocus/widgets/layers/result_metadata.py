@@ -1,0 +1,180 @@
+"""Results in a viewer: how they say what made them, and how they are found.
+
+No Qt here, as in `layers`.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+from napari.components import LayerList
+from napari.layers import Layer
+from napari.types import LayerDataTuple
+
+from napari_defocus import __version__
+from napari_defocus.widgets.layers.image_layers import Plane
+
+METADATA_KEY = "napari_defocus"
+"""Where a result layer's metadata say how it was made."""
+
+RUN = "run"
+"""Which run has made a result, in its metadata: the larger the number, the newer."""
+
+BLUR_MAP = "blur map"
+CONFIDENCE = "confidence"
+NOT_TRUSTED = "not trusted"
+IN_FOCUS = "in focus"
+MEASURED_PSF = "measured PSF"
+ALL_IN_FOCUS = "all in focus"
+REFOCUSED = "refocused"
+DEPTH = "depth"
+DEPTH_SURFACE = "depth surface"
+RELIEF = "relief"
+SHARPEST = "sharpest pixels"
+BEST_FOCUS = "best focus"
+FOCUS_CONFIDENCE = "best focus confidence"
+
+OUTSIDE = (
+    "outside of the shapes nothing is in focus and the confidence is 0; the map there is an "
+    "estimate like any other"
+)
+"""What holds for the pixels of a part that do not count."""
+
+PLANES = "planes"
+"""Where a stack's metadata say which of its axes are its planes', and what each one had."""
+
+STORE = "store"
+"""Where the metadata of a result that is kept on the disk say in which folder, and how long."""
+
+AT = "at"
+"""Where the metadata of a result say which plane of a stack it is of: a number an axis, or None."""
+
+PLACEMENT = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
+"""The keywords that say where a layer lies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What a run returns.
+
+    Attributes
+    ----------
+    layers : list of LayerDataTuple
+        See `show_results`.
+    summary : str
+        What to say about them, in a few lines.
+    """
+
+    layers: list[LayerDataTuple]
+    summary: str
+
+
+def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Return the metadata of a result: what it is, of which layer, and what made it.
+
+    Parameters
+    ----------
+    plane : Plane
+        What it was made from.
+    result : str
+        One of the names above.
+    settings : dict
+    **more
+        What else is worth knowing.
+    """
+    made = {
+        "version": __version__,
+        "result": result,
+        "source": plane.name,
+        "settings": settings,
+        AT: [at if isinstance(at, int) else None for at in plane.index],
+    }
+    if plane.is_part:
+        made["region"] = described_region(plane)
+    return {METADATA_KEY: made | more}
+
+
+def told_of_noise(given: float | None, variances: Collection[float]) -> str:
+    """Return a line that says the noise variance of planes, and where it comes from.
+
+    Parameters
+    ----------
+    given : float or None
+        The user's; None if it was found.
+    variances : collection of float
+        Of each plane.
+
+    Examples
+    --------
+    >>> told_of_noise(None, [1e-6, 2.5e-5]), told_of_noise(1e-6, [1e-6])
+    ('Noise variance 1.0e-06 to 2.5e-05 (found)', 'Noise variance 1.0e-06 (given)')
+    """
+    low, high = float(min(variances)), float(max(variances))
+    span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
+    return f"Noise variance {span} ({'found' if given is None else 'given'})"
+
+
+def described_region(plane: Plane) -> dict[str, Any]:
+    """Return what metadata say about a part of a plane.
+
+    Parameters
+    ----------
+    plane : Plane
+
+    Returns
+    -------
+    dict
+        What chose it, where its rows and columns start and stop in px of the whole plane, and
+        what holds for the pixels that do not count.
+    """
+    rows, columns = (
+        list(cut.indices(length)[:2])
+        for cut, length in zip(plane.cuts, plane.whole_shape, strict=True)
+    )
+    told: dict[str, Any] = {"of": plane.region, "rows": rows, "columns": columns}
+    if plane.inside is not None:
+        told["outside"] = OUTSIDE
+    return told
+
+
+def made_by_us(layer: Layer) -> str | None:
+    """Return what result a layer holds, None if it is no result of ours."""
+    made = layer.metadata.get(METADATA_KEY, {})
+    return made.get("result") if isinstance(made, dict) else None
+
+
+def results_of(layers: LayerList, result: str, source: str) -> list[Layer]:
+    """Return the layers that hold a result of the layer named `source`, the newest first."""
+    found = [
+        layer
+        for layer in layers
+        if made_by_us(layer) == result and layer.metadata[METADATA_KEY].get("source") == source
+    ]
+    return newest_first(found)
+
+
+def layer_of_result(layers: LayerList, result: str, source: str) -> Layer | None:
+    """Return the newest layer that holds a result of the layer named `source`, if there is one."""
+    return next(iter(results_of(layers, result, source)), None)
+
+
+def same_estimation(layer: Layer, other: Layer) -> bool:
+    """Tell whether two results of ours say that the same settings and noise have made them."""
+    told, others = (found.metadata[METADATA_KEY] for found in (layer, other))
+    return all(told.get(key) == others.get(key) for key in ("settings", "noise_variance"))
+
+
+def run_of(layer: Layer) -> int:
+    """Return the number of the call of `show_results` that has shown a result last: 1, 2, ...
+
+    It is 0 if the layer does not say it.
+    """
+    made = layer.metadata.get(METADATA_KEY)
+    run = made.get(RUN, 0) if isinstance(made, dict) else 0
+    return run if isinstance(run, int) else 0
+
+
+def newest_first(layers: list[Layer]) -> list[Layer]:
+    """Return layers of results, those of the latest run first."""
+    # A duplicate stands behind what it was made from: of the same run, the first counts.
+    return sorted(layers, key=run_of, reverse=True)
