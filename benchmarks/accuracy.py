@@ -28,7 +28,7 @@ from napari_defocus import (
     label_blur_map,
     segment_in_focus,
 )
-from napari_defocus.core.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT
 
 CONSTANT = "one radius for all"
 SAYS_NINE_TENTHS = 0.85, 0.95

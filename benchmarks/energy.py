@@ -26,7 +26,6 @@ from record import OURS, PAPER, Number, Record
 
 from napari_defocus import BlurCandidates, estimate_candidates
 from napari_defocus.core.image import PreparedImage
-from napari_defocus.core.settings import MapSettings
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT, JUMP, REACH
 from napari_defocus.labeling.graph_cuts import (
     energy_of,
@@ -37,6 +36,7 @@ from napari_defocus.labeling.graph_cuts import (
 )
 from napari_defocus.labeling.pixel_refinement import Blocks, label_pixels, pixel_weights
 from napari_defocus.labeling.problem import Scene
+from napari_defocus.settings import MapSettings
 
 SMOOTHNESS, COLOR_SIGMA = MapSettings.smoothness, MapSettings.color_sigma
 

@@ -10,12 +10,7 @@ from typing import Any
 from fuzz_call import Call, anything_returned, measured_family, recipe, some
 
 import napari_defocus as nd
-from napari_defocus.core.settings import (
-    MapSettings,
-    MaskSettings,
-    RefocusSettings,
-    RestorationSettings,
-)
+from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 
 @recipe("Settings")

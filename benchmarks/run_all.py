@@ -31,7 +31,7 @@ from restoration import as_floats, measure_restoration
 from scenes import groups
 from sizes import measure_sizes
 
-from napari_defocus.io.pictures import write_results
+from napari_defocus.core.writing import write_results
 
 PARTS = ("accuracy", "photographs", "energy", "restoration", "sizes", "ablation")
 NUMBERS = "numbers.json"

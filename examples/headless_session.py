@@ -10,7 +10,7 @@ from napari_defocus import (
     label_blur_map,
     segment_in_focus,
 )
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_layers import (

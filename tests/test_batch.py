@@ -21,12 +21,13 @@ from napari_defocus.batch import batch
 from napari_defocus.batch import planes as batch_planes
 from napari_defocus.batch import sources as batch_sources
 from napari_defocus.batch import tiled_planes as batch_parts
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.core.writing import UnwritableResult
 from napari_defocus.io.encoders import holds, settings_in_tiff, values_in_tiff
 from napari_defocus.io.ome_zarr import read_ome_zarr
 from napari_defocus.io.open import open_source
-from napari_defocus.io.pictures import UnreadablePicture, UnwritableResult
+from napari_defocus.io.pictures import UnreadablePicture
 from napari_defocus.io.tiff_writer import made_by
+from napari_defocus.settings import MapSettings, MaskSettings
 
 QUICK = Settings(map=MapSettings(stride=8))
 

@@ -11,7 +11,7 @@ from napari_defocus import Settings, measure_batch
 from napari_defocus.batch.batch import BatchReport
 from napari_defocus.batch.cluster import dask_client
 from napari_defocus.cli import batch as batch_commands
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
 from napari_defocus.cli.app import app
 from napari_defocus.core.intensity import Intensities
-from napari_defocus.core.settings import COMPARED_PSFS, MapSettings, MaskSettings
+from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 
 SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
 

@@ -13,7 +13,7 @@ from PIL.TiffImagePlugin import IFDRational
 import napari_defocus
 from napari_defocus import Disc, Settings, ThinLens, depth_from_blur
 from napari_defocus.core.intensity import Intensities
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.settings import MapSettings
 
 HEIGHT, WIDTH = 48, 60
 NOTED = {

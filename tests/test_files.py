@@ -16,14 +16,8 @@ import tifffile
 from PIL import Image, ImageOps
 
 from napari_defocus.core.image import prepare_image
-from napari_defocus.io.pictures import (
-    NeedsForce,
-    UnreadablePicture,
-    UnwritableResult,
-    check_results,
-    read_picture,
-    write_results,
-)
+from napari_defocus.core.writing import NeedsForce, UnwritableResult, check_results, write_results
+from napari_defocus.io.pictures import UnreadablePicture, read_picture
 
 ORIENTATION = 274
 

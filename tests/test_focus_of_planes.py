@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from napari_defocus import Cancelled, focus_curve
-from napari_defocus.io.pictures import UnwritableResult
+from napari_defocus.core.writing import UnwritableResult
 
 RADII = np.array([6.0, 3.0, 1.0, 2.0, 5.0])
 SWEEP = RADII[:, None, None] * np.ones((8, 10))

@@ -109,15 +109,15 @@ COMMAND_THAT_WAITS = """
     import signal, sys, time
     from pathlib import Path
     from napari_defocus.cli import app as cli
-    from napari_defocus.io import pictures as files
-    write, waits = files._write_through, Path(sys.argv.pop())
+    from napari_defocus.core import writing
+    write, waits = writing._write_through, Path(sys.argv.pop())
 
     def slowly(path, content):
         write(path, content)
         waits.touch()
         time.sleep(3600)
 
-    files._write_through = slowly
+    writing._write_through = slowly
     signal.signal(signal.SIGINT, signal.default_int_handler)
     cli.main()
 """

@@ -10,7 +10,6 @@ from command_line import names_in, run
 from PIL import Image
 
 from napari_defocus import measure_batch
-from napari_defocus.core.settings import MapSettings
 from napari_defocus.io.encoders import picture_png
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr
 from napari_defocus.io.picture_files import look_for_pictures, told_left_out
@@ -18,6 +17,7 @@ from napari_defocus.io.pictures import UnreadablePicture
 from napari_defocus.io.provenance import is_picture, mark_of
 from napari_defocus.io.settings_file import Settings
 from napari_defocus.io.tiff_writer import write_pyramidal_tiff
+from napari_defocus.settings import MapSettings
 
 LENS = ("--focal-length", 50, "--f-number", 2, "--focus-distance", 2, "--pixel-pitch", 5)
 

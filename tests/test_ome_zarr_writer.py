@@ -11,9 +11,9 @@ import pytest
 import zarr
 from ome_zarr_models.v05.image import Image
 
+from napari_defocus.core.writing import UnwritableResult
 from napari_defocus.io.ome_zarr import read_ome_zarr
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr
-from napari_defocus.io.pictures import UnwritableResult
 
 MICRONS = {"y": "micrometer", "x": "micrometer"}
 

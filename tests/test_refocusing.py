@@ -23,8 +23,8 @@ from napari_defocus import (
     simulate_layered_defocus,
 )
 from napari_defocus.core.image import decode_srgb
-from napari_defocus.core.settings import RefocusSettings
 from napari_defocus.restoration import refocusing
+from napari_defocus.settings import RefocusSettings
 
 SIDE = 80
 FAR = np.broadcast_to(np.arange(SIDE) >= 40, (SIDE, SIDE))

@@ -15,10 +15,10 @@ from PIL import Image
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, ThinLens, blur_from_depth, simulate_defocus
 from napari_defocus.core.intensity import Intensities
-from napari_defocus.core.settings import MapSettings, RefocusSettings, RestorationSettings
 from napari_defocus.io.encoders import blur_map_tiff
 from napari_defocus.io.pictures import read_picture
 from napari_defocus.restoration.all_in_focus import usual_tv_weight
+from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 
 HEIGHT, WIDTH = 48, 60
 LENS = ThinLens(focal_length_mm=50, f_number=2, focus_distance_m=2, pixel_pitch_um=5)

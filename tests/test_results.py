@@ -8,6 +8,7 @@ import pytest
 import tifffile
 from PIL import Image
 
+from napari_defocus.core.writing import write_results
 from napari_defocus.io.encoders import (
     blur_map_png,
     blur_map_tiff,
@@ -22,7 +23,7 @@ from napari_defocus.io.encoders import (
     settings_in_tiff,
     values_in_tiff,
 )
-from napari_defocus.io.pictures import read_picture, write_results
+from napari_defocus.io.pictures import read_picture
 
 
 @pytest.fixture

@@ -9,13 +9,8 @@ from hypothesis import strategies as st
 
 import napari_defocus
 from napari_defocus import Settings
-from napari_defocus.core.settings import (
-    MapSettings,
-    MaskSettings,
-    RefocusSettings,
-    RestorationSettings,
-)
 from napari_defocus.io.settings_file import said_in
+from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 UNUSUAL = Settings(
     map=MapSettings(

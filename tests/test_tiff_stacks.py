@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import tifffile
 
+from napari_defocus.core.writing import UnwritableResult
 from napari_defocus.io.encoders import description_in_tiff, values_in_tiff
 from napari_defocus.io.multiscale import halved
 from napari_defocus.io.open import open_source
-from napari_defocus.io.pictures import UnwritableResult, read_picture
+from napari_defocus.io.pictures import read_picture
 from napari_defocus.io.tiff_writer import made_by, write_pyramidal_tiff
 
 ABOUT = {"quantity": "defocus blur radius", "unit": "px", "settings": {"window": 41}}

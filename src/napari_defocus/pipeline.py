@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import napari_defocus
 from napari_defocus.core.progress import Progress, within
-from napari_defocus.core.settings import CONFIDENT, MapSettings, psf_of, radius_per_scale
+from napari_defocus.psf.families import radius_per_scale
+from napari_defocus.psf.text import psf_of
+from napari_defocus.settings import CONFIDENT, MapSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

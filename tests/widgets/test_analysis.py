@@ -12,9 +12,9 @@ from napari_defocus import (
     segment_in_focus,
     simulate_defocus,
 )
-from napari_defocus.core.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.labeling.problem import with_scene
+from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs import estimation
 from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
 from napari_defocus.widgets.jobs.cache import KeptWork

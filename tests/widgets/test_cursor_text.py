@@ -4,7 +4,7 @@ import weakref
 import numpy as np
 import pytest
 
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.display.cursor_text import tell_under_cursor, text_under_cursor
 from napari_defocus.widgets.layers.image_layers import shown_plane

@@ -13,7 +13,7 @@ from qtpy.QtWidgets import QApplication
 
 import napari_defocus
 from napari_defocus import Settings, ThinLens, simulate_defocus
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.docks.defocus import DEPTH, MASK, MORE, DefocusWidget
 from napari_defocus.widgets.layers.preferences import PLUGIN
 

@@ -6,7 +6,7 @@ import pytest
 from napari.layers import Surface
 
 from napari_defocus import ThinLens, blur_from_depth, depth_from_blur
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.distances import Distances

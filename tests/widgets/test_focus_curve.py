@@ -7,7 +7,7 @@ import pytest
 from matplotlib.backend_bases import MouseEvent
 from qtpy.QtWidgets import QFileDialog
 
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.docks.focus_curve import NO_STACK, FocusCurveWidget
 from napari_defocus.widgets.forms.planes_field import PlanesField

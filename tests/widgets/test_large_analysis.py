@@ -14,9 +14,9 @@ from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
 from napari_defocus.core.intensity import Intensities
-from napari_defocus.core.settings import MapSettings, MaskSettings
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr import read_ome_zarr
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.display.cursor_text import text_under_cursor
 from napari_defocus.widgets.display.probing import NothingKnownError, probed

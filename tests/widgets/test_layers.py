@@ -5,7 +5,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels
 
 from napari_defocus import __version__
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.layers import image_layers as layers
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane

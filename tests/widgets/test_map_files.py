@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 
 import napari_defocus
 from napari_defocus.cli.app import app
-from napari_defocus.core.settings import MapSettings, MaskSettings
 from napari_defocus.io.encoders import blur_map_tiff
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.export.map_files import (
     PATTERNS,

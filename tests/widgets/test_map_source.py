@@ -3,7 +3,7 @@ import pytest
 
 from napari_defocus import Disc, Gaussian, Polygon
 from napari_defocus.core.progress import silent
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.estimation import Picture

@@ -12,7 +12,7 @@ from skimage.data import retina
 from skimage.transform import resize
 
 from napari_defocus.core import worker_process as other_process
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.docks.defocus import DefocusWidget
 
 pytestmark = pytest.mark.display

@@ -5,7 +5,7 @@ import pytest
 
 import napari_defocus
 from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.docks.blur_map import BlurMapWidget
 from napari_defocus.widgets.docks.in_focus import InFocusWidget

@@ -9,7 +9,7 @@ from npe2 import PluginManifest
 
 import napari_defocus
 from napari_defocus import Disc, MeasuredPSF, Settings
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.layers.preferences import (
     PLUGIN,
     DisplaySettings,

@@ -13,7 +13,7 @@ from skimage.data import gravel
 
 from napari_defocus import explain_pixel, simulate_defocus
 from napari_defocus.core.progress import silent
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.display.probing import (
     NothingKnownError,

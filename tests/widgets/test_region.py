@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.jobs.analysis import Analysis
 from napari_defocus.widgets.jobs.cache import KeptWork

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.display.region_table import add_regions
 from napari_defocus.widgets.layers.image_layers import shown_plane

@@ -5,7 +5,7 @@ import weakref
 import numpy as np
 import pytest
 
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.display.relief import hide_relief, show_relief
 from napari_defocus.widgets.layers.image_layers import shown_plane

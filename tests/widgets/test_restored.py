@@ -4,7 +4,7 @@ import pytest
 from napari.layers import Image
 
 from napari_defocus import Disc
-from napari_defocus.core.settings import MapSettings, RefocusSettings, RestorationSettings
+from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.jobs.analysis import Analysis
 from napari_defocus.widgets.jobs.cache import KeptWork

@@ -17,12 +17,7 @@ from PIL import Image
 
 import napari_defocus
 from napari_defocus import Annulus, MeasuredPSF, ThinLens
-from napari_defocus.core.settings import (
-    MapSettings,
-    MaskSettings,
-    RefocusSettings,
-    RestorationSettings,
-)
+from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 from napari_defocus.widgets.export.script import script_of
 from napari_defocus.widgets.export.script_text import text_literal
 from napari_defocus.widgets.jobs.analysis import Analysis

@@ -6,7 +6,7 @@ import pytest
 from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
 from napari_defocus.widgets.jobs import focus_stacking as best_focus

@@ -8,7 +8,7 @@ from napari.layers import Labels
 
 import napari_defocus
 from napari_defocus import Cancelled, simulate_defocus
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import show_results
 from napari_defocus.widgets.jobs.analysis import Analysis
 from napari_defocus.widgets.jobs.cache import KeptWork

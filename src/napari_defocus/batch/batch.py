@@ -40,19 +40,19 @@ from napari_defocus.batch.sources import (
 )
 from napari_defocus.batch.table import FAILED, Row, in_csv, in_json_lines
 from napari_defocus.batch.tiled_planes import PartNote, PlaneInParts
-from napari_defocus.core.progress import Cancelled, Progress, duration, silent
-from napari_defocus.core.settings import (
-    BLOCK_SIZE,
+from napari_defocus.core.checks import (
     check_block_size,
     check_confidence,
     check_flag,
     check_threshold,
 )
+from napari_defocus.core.progress import Cancelled, Progress, duration, silent
+from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
 from napari_defocus.io.lazy_arrays import need_large_extra
 from napari_defocus.io.open import Source
 from napari_defocus.io.picture_files import PictureFiles, look_for_pictures
-from napari_defocus.io.pictures import NeedsForce, UnwritableResult, write_results
 from napari_defocus.io.settings_file import Settings
+from napari_defocus.settings import BLOCK_SIZE
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from napari_defocus.batch.table import Row
-from napari_defocus.io.pictures import NeedsForce, UnwritableResult, write_results
+from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
 
 Facts = dict[str, Any]
 

@@ -20,7 +20,7 @@ from napari_defocus.batch.folder import Facts, read_note, write_note
 from napari_defocus.batch.table import DONE, FAILED, Row, count_pixels
 from napari_defocus.core.intensity import Limits
 from napari_defocus.core.progress import silent
-from napari_defocus.core.settings import BLOCK_SIZE
+from napari_defocus.core.writing import write_results
 from napari_defocus.io.encoders import (
     blur_map_tiff,
     confidence_tiff,
@@ -30,10 +30,10 @@ from napari_defocus.io.encoders import (
 )
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.io.open import Source, open_source
-from napari_defocus.io.pictures import write_results
 from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE
 from napari_defocus.io.settings_file import Settings
 from napari_defocus.pipeline import Measurement, measure_map, used
+from napari_defocus.settings import BLOCK_SIZE
 
 if TYPE_CHECKING:
     import dask.array as da

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.core.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT
 
 Row = dict[str, Any]
 

@@ -47,14 +47,8 @@ from napari_defocus.cli.options import (
     Threshold,
 )
 from napari_defocus.cli.settings_options import SettingsCommand, saved_settings, with_settings
+from napari_defocus.core.checks import check_confidence, check_threshold
 from napari_defocus.core.progress import Progress, within
-from napari_defocus.core.settings import (
-    MapSettings,
-    MaskSettings,
-    check_confidence,
-    check_threshold,
-    usual_threshold,
-)
 from napari_defocus.pipeline import (
     Measurement,
     beside,
@@ -67,6 +61,7 @@ from napari_defocus.pipeline import (
     shares,
     used,
 )
+from napari_defocus.settings import MapSettings, MaskSettings, usual_threshold
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -133,13 +128,14 @@ def map_picture(
     outputs = [*maps, *([confidence] if confidence else [])]
 
     def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io import pictures
 
         settings = measuring.settings()
         check_confidence("min_confidence", min_confidence)
         check_endings(outputs, ".tif", ".tiff", ".png")
-        picture = files.read_picture(image)
-        files.check_results(
+        picture = pictures.read_picture(image)
+        writing.check_results(
             with_settings(outputs, settings_files.save_settings), force=force, source=image
         )
         found = measure_map(picture, settings, measuring.intensity_range, progress)
@@ -149,7 +145,7 @@ def map_picture(
         contents |= saved_settings(
             settings_files.save_settings, "map", napari_defocus.Settings(map=settings)
         )
-        files.write_results(contents, force=force)
+        writing.write_results(contents, force=force)
         return facts
 
     run(measure, _lines, reporting)
@@ -175,13 +171,14 @@ def segment_picture(
     """Find what is in focus in IMAGE."""
     if output is None and overlay is None:
         output, overlay = beside(image, "-mask.png"), beside(image, "-overlay.png")
-    pictures = [path for path in (output, overlay) if path is not None]
+    drawings = [path for path in (output, overlay) if path is not None]
     tables = [regions] if regions else []
-    outputs = [*pictures, *tables]
+    outputs = [*drawings, *tables]
     intensity_range = measuring.intensity_range
 
     def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io import pictures
 
         settings = measuring.settings()
         family = settings.family()
@@ -191,12 +188,12 @@ def segment_picture(
             color_sigma=color_sigma,
         )
         check_threshold(mask_settings.threshold, family.max_scale)
-        check_endings(pictures, ".png")
+        check_endings(drawings, ".png")
         check_endings(tables, ".csv")
-        picture = files.read_picture(image)
+        picture = pictures.read_picture(image)
         known = _seeds(seeds, picture)
         for source in (image, seeds):
-            files.check_results(
+            writing.check_results(
                 with_settings(outputs, settings_files.save_settings), force=force, source=source
             )
         first, second = shares(progress)
@@ -214,7 +211,7 @@ def segment_picture(
             table = _region_table(mask, found)
             contents[regions] = table.as_csv()
             facts |= {"regions": len(table) - 1}
-        files.write_results(contents, force=force)
+        writing.write_results(contents, force=force)
         return facts
 
     run(measure, _lines, reporting)
@@ -242,14 +239,15 @@ def demonstrate(
     outputs = [*maps, confidence_path, mask_path, overlay_path]
 
     def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io import pictures
 
         settings = MapSettings(psf=psf, shot_noise=shot_noise, linearize=linearize)
         family = settings.family()
         mask_settings = MaskSettings(threshold=usual_threshold(family))
         check_threshold(mask_settings.threshold, family.max_scale)
-        files.check_results(outputs, force=True)
-        picture = files.read_picture(sample_commands.sample_path("dandelion"))
+        writing.check_results(outputs, force=True)
+        picture = pictures.read_picture(sample_commands.sample_path("dandelion"))
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, None, first)
         found = label_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
@@ -257,7 +255,7 @@ def demonstrate(
         contents = _encoded_maps(maps, found, 0.0, settings)
         contents |= _encoded_confidence(confidence_path, found, settings)
         contents |= _encoded_masks(mask_path, overlay_path, picture, mask, None)
-        files.write_results(contents, force=True)
+        writing.write_results(contents, force=True)
         facts = picture_facts(Path("dandelion.jpg"), outputs, found, settings)
         return facts | map_facts(found) | _mask_facts(mask)
 

@@ -14,14 +14,13 @@ from napari_defocus.cli.command import run
 from napari_defocus.cli.console import INTERRUPTED
 from napari_defocus.cli.option_groups import MapOptions, Reporting
 from napari_defocus.cli.options import MinConfidence, SettingsFile, Threshold
+from napari_defocus.core.checks import check_risk, check_tv_weight
 from napari_defocus.core.progress import Progress
-from napari_defocus.core.settings import (
+from napari_defocus.settings import (
     BLOCK_SIZE,
     MapSettings,
     MaskSettings,
     RestorationSettings,
-    check_risk,
-    check_tv_weight,
     usual_threshold,
 )
 

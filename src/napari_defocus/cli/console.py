@@ -68,7 +68,7 @@ def errors_in_one_line() -> Iterator[None]:
 
 def _told(error: Exception) -> str:
     """Return a message in the words of the terminal."""
-    from napari_defocus.io.pictures import NeedsForce
+    from napari_defocus.core.writing import NeedsForce
 
     return error.told("--force") if isinstance(error, NeedsForce) else str(error)
 

@@ -17,8 +17,8 @@ from napari_defocus.cli.option_groups import (
 )
 from napari_defocus.cli.options import DepthOutputs, Force, ImagePath, MinConfidence, SideOption
 from napari_defocus.cli.settings_options import saved_settings, with_settings
+from napari_defocus.core.checks import Side, check_confidence
 from napari_defocus.core.progress import Progress
-from napari_defocus.core.settings import RefocusSettings, Side, check_confidence
 from napari_defocus.pipeline import (
     Measurement,
     beside,
@@ -29,6 +29,7 @@ from napari_defocus.pipeline import (
     picture_facts,
     used,
 )
+from napari_defocus.settings import RefocusSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,7 +60,8 @@ def depth(
     known_map, map_confidence = measuring.known_map, measuring.map_confidence
 
     def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io import pictures
 
         settings = measuring.settings()
         check_confidence("min_confidence", min_confidence)
@@ -68,11 +70,11 @@ def depth(
                 f"min_confidence is {min_confidence}; with map it takes map_confidence"
             )
         check_endings(outputs, ".tif", ".tiff", ".png")
-        picture = files.read_picture(image)
+        picture = pictures.read_picture(image)
         lens = lens_of(image, thin_lens)
         check_side(side, lens)
         for source in (image, known_map, map_confidence):
-            files.check_results(
+            writing.check_results(
                 with_settings(outputs, settings_files.save_settings), force=force, source=source
             )
         found = find_blur(
@@ -85,7 +87,7 @@ def depth(
         contents = _encoded(outputs, distance, made_with, min_confidence)
         used_settings = napari_defocus.Settings(map=settings)
         contents |= saved_settings(settings_files.save_settings, "depth", used_settings)
-        files.write_results(contents, force=force)
+        writing.write_results(contents, force=force)
         facts |= file_facts(found) | map_facts(found, min_confidence) | _depth_facts(distance)
         facts |= {"reach_m": _reach(found, lens, side)}
         return picture_facts(image, outputs, found, settings) | facts

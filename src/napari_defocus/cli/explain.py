@@ -52,15 +52,16 @@ def explain(
     outputs = [output] if output else []
 
     def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io import pictures
         from napari_defocus.likelihood.candidates import check_place
 
         settings = measuring.settings()
         check_endings(outputs, ".png")
-        picture = files.read_picture(image)
+        picture = pictures.read_picture(image)
         height, width = picture.shape[:2]
         check_place(row, column, (height, width))
-        files.check_results(outputs, force=force, source=image)
+        writing.check_results(outputs, force=force, source=image)
         found = measure_map(picture, settings, measuring.intensity_range, progress)
         assert found.candidates is not None
         told = napari_defocus.explain_pixel(
@@ -72,7 +73,7 @@ def explain(
             image=picture,
             intensity_range=measuring.intensity_range,
         )
-        files.write_results({path: _drawing(told) for path in outputs}, force=force)
+        writing.write_results({path: _drawing(told) for path in outputs}, force=force)
         return picture_facts(image, outputs, found, settings) | _facts(told)
 
     run(measure, _lines, reporting)

@@ -21,8 +21,9 @@ from napari_defocus.cli.options import (
     NoiseVariance,
 )
 from napari_defocus.core.progress import Progress
-from napari_defocus.core.settings import COMPARED_PSFS, MapSettings, psf_of
 from napari_defocus.pipeline import intensity_facts
+from napari_defocus.psf.text import psf_of
+from napari_defocus.settings import COMPARED_PSFS, MapSettings
 
 if TYPE_CHECKING:
     from napari_defocus.psf.measured import MeasuredPSF
@@ -79,14 +80,15 @@ def calibrate(
     """Measure what your lens makes of a point, from PICTUREs at a few settings of its focus."""
 
     def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io.pictures import read_picture
 
         given = _numbers("scales", scales)
         check_endings([output], ".npz")
         for path in (*pictures, *(sharp or [])):
-            files.check_results([output], force=force, source=path)
-        planes = [files.read_picture(path) for path in pictures]
-        references = [files.read_picture(path) for path in sharp or []]
+            writing.check_results([output], force=force, source=path)
+        planes = [read_picture(path) for path in pictures]
+        references = [read_picture(path) for path in sharp or []]
         with _files_by_name(pictures, sharp or []):
             lens = napari_defocus.calibrate_psf(
                 planes,
@@ -98,7 +100,7 @@ def calibrate(
                 progress=progress,
             )
         report = napari_defocus.fit_report(lens, _window(lens))
-        files.check_results([output], force=force)
+        writing.check_results([output], force=force)
         lens.save(output)
         return {
             "pictures": [str(path) for path in pictures],
@@ -136,10 +138,10 @@ def compare(
     """Compare how well lenses explain the blur of IMAGE, the best first."""
 
     def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.io.pictures import read_picture, told_choice_in
 
         text_of = {psf_of(text, max_radius): text for text in family or COMPARED_PSFS}
-        picture = files.read_picture(image)
+        picture = read_picture(image)
         comparison = napari_defocus.compare_psf(
             picture,
             list(text_of),
@@ -160,7 +162,7 @@ def compare(
         ]
         return {
             "image": str(image),
-            "taken": files.told_choice_in(image),
+            "taken": told_choice_in(image),
             "width": picture.shape[1],
             "height": picture.shape[0],
             **intensity_facts(comparison.intensities),

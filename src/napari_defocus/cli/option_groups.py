@@ -36,8 +36,8 @@ from napari_defocus.cli.options import (
     Stride,
     Window,
 )
-from napari_defocus.core.settings import MapSettings
 from napari_defocus.pipeline import psf_for
+from napari_defocus.settings import MapSettings
 
 
 class OptionGroup:

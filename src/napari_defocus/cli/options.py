@@ -7,14 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from napari_defocus.core.settings import (
-    Linearize,
-    MapSettings,
-    MaskSettings,
-    Mode,
-    RefocusSettings,
-    Side,
-)
+from napari_defocus.core.checks import Linearize, Mode, Side
+from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings
 
 Encoding = Literal["srgb", "linear"]
 """How files hold light; "linear" is None to the functions."""

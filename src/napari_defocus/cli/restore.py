@@ -38,16 +38,8 @@ from napari_defocus.cli.options import (
     TVWeight,
 )
 from napari_defocus.cli.settings_options import saved_settings, with_settings
+from napari_defocus.core.checks import Linearize, Side, check_risk, check_tv_weight
 from napari_defocus.core.progress import Progress, within
-from napari_defocus.core.settings import (
-    Linearize,
-    MapSettings,
-    RefocusSettings,
-    RestorationSettings,
-    Side,
-    check_risk,
-    check_tv_weight,
-)
 from napari_defocus.pipeline import (
     Measurement,
     beside,
@@ -59,6 +51,7 @@ from napari_defocus.pipeline import (
     picture_facts,
     used,
 )
+from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -91,16 +84,17 @@ def restore(
     known_map, map_confidence = measuring.known_map, measuring.map_confidence
 
     def work(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io import pictures
         from napari_defocus.io.provenance import ALL_IN_FOCUS
 
         settings = measuring.settings()
         check_tv_weight(tv_weight)
         check_risk(risk)
         check_endings(outputs, ".png", ".tif", ".tiff")
-        picture = files.read_picture(image)
+        picture = pictures.read_picture(image)
         for source in (image, known_map, map_confidence):
-            files.check_results(
+            writing.check_results(
                 with_settings(outputs, settings_files.save_settings), force=force, source=source
             )
         first, second = _shares(progress)
@@ -119,7 +113,7 @@ def restore(
         restoration = RestorationSettings(tv_weight=tv_weight, risk=risk)
         used_settings = napari_defocus.Settings(map=settings, restoration=restoration)
         contents |= saved_settings(settings_files.save_settings, "restore", used_settings)
-        files.write_results(contents, force=force)
+        writing.write_results(contents, force=force)
         return facts
 
     run(work, _restored_lines, reporting)
@@ -151,7 +145,8 @@ def refocus(
     known_map, map_confidence = measuring.known_map, measuring.map_confidence
 
     def work(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
+        from napari_defocus.io import pictures
         from napari_defocus.io.provenance import REFOCUSED
 
         settings = measuring.settings()
@@ -160,11 +155,11 @@ def refocus(
         check_risk(risk)
         _check_change(focus, sharp_at, aperture, thin_lens)
         check_endings(outputs, ".png", ".tif", ".tiff")
-        picture = files.read_picture(image)
+        picture = pictures.read_picture(image)
         change = _focus_facts(image, focus, sharp_at, side, thin_lens, family)
         change |= {"aperture": aperture, "side": side, "encoding": encoding}
         for source in (image, known_map, map_confidence):
-            files.check_results(
+            writing.check_results(
                 with_settings(outputs, settings_files.save_settings), force=force, source=source
             )
         first, second = _shares(progress)
@@ -202,7 +197,7 @@ def refocus(
             ),
         )
         contents |= saved_settings(settings_files.save_settings, "refocus", used_settings)
-        files.write_results(contents, force=force)
+        writing.write_results(contents, force=force)
         return facts
 
     run(work, _refocused_lines, reporting)

@@ -39,10 +39,10 @@ def sample(
     """Write a photograph of ours, to try the other commands on."""
 
     def write(_: Progress) -> dict[str, Any]:
-        from napari_defocus.io import pictures as files
+        from napari_defocus.core import writing
 
         check_endings([file], ".jpg", ".jpeg")
-        files.write_results({file: sample_path(name).read_bytes()}, force=force)
+        writing.write_results({file: sample_path(name).read_bytes()}, force=force)
         return {"sample": name, "author": AUTHORS[name], "files": [str(file)]}
 
     run(write, _lines, reporting)

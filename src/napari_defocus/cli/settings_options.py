@@ -11,12 +11,7 @@ import typer
 from typer.core import TyperCommand
 
 from napari_defocus.cli.console import errors_in_one_line
-from napari_defocus.core.settings import (
-    MapSettings,
-    MaskSettings,
-    RefocusSettings,
-    RestorationSettings,
-)
+from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 if TYPE_CHECKING:
     from napari_defocus.io.settings_file import Settings

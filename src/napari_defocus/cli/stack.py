@@ -23,8 +23,8 @@ from napari_defocus.cli.options import (
     PSFText,
 )
 from napari_defocus.core.progress import Progress
-from napari_defocus.core.settings import CONFIDENT, MapSettings
 from napari_defocus.pipeline import beside, intensity_facts
+from napari_defocus.settings import CONFIDENT, MapSettings
 
 if TYPE_CHECKING:
     from napari_defocus.core.axes import FocusAxis
@@ -128,8 +128,8 @@ def sharpest(
     """Find where each pixel of STACK is in focus, and make one picture of the sharpest."""
 
     def measure(progress: Progress) -> dict[str, Any]:
+        from napari_defocus.core import writing
         from napari_defocus.core.axes import focus_axis
-        from napari_defocus.io import pictures as files
         from napari_defocus.io.open import open_stack
 
         settings = MapSettings(
@@ -154,7 +154,7 @@ def sharpest(
             said=lambda argument: f"--{argument}",
         )
         for path in source.files:
-            files.check_results(outputs.paths, force=force, source=path)
+            writing.check_results(outputs.paths, force=force, source=path)
         found = napari_defocus.sharpest_plane(
             source.data,
             axes=source.axes,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
+from napari_defocus.core.checks import Linearize, check_linearize
 from napari_defocus.core.intensity import (
     Intensities,
     IntensityRange,
@@ -17,7 +18,6 @@ from napari_defocus.core.intensity import (
     needs_limits,
 )
 from napari_defocus.core.known_pixels import check_no_infinity, known_pixels, values_where
-from napari_defocus.core.settings import Linearize, check_linearize
 
 LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """ITU-R BT.601: the luminance that JPEG keeps at full resolution."""

@@ -12,9 +12,9 @@ from scipy import fft
 from scipy.ndimage import distance_transform_edt
 from scipy.signal import oaconvolve
 
+from napari_defocus.core.checks import Linearize
 from napari_defocus.core.image import encode_srgb, given_array, prepare_light, with_unknown
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import Linearize
 from napari_defocus.forward.simulation import noise_for
 from napari_defocus.psf.families import Disc, PSFFamily, as_family
 

@@ -15,9 +15,9 @@ from PIL import Image
 
 import napari_defocus
 from napari_defocus.core.image import prepare_image, shown_colors
-from napari_defocus.core.settings import MapSettings
 from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE, marked_png, said_by
 from napari_defocus.psf.families import Disc
+from napari_defocus.settings import MapSettings
 
 _BLUR_QUANTITY = "defocus blur"
 _CONFIDENCE_QUANTITY = "confidence of the blur map"

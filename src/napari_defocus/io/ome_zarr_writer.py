@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from napari_defocus.core.writing import NeedsForce, UnwritableResult
 from napari_defocus.io.lazy_arrays import need_large_extra
 from napari_defocus.io.multiscale import halve_into, level_shapes
 from napari_defocus.io.ome_zarr import OUR_KEY, is_zarr
@@ -25,7 +26,6 @@ from napari_defocus.io.ome_zarr_metadata import (
     stored_names,
     stored_order,
 )
-from napari_defocus.io.pictures import NeedsForce, UnwritableResult
 
 TILE = 512
 """px of a chunk's side."""

@@ -11,15 +11,10 @@ from types import NoneType
 from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import napari_defocus
-from napari_defocus.core.settings import (
-    MapSettings,
-    MaskSettings,
-    RefocusSettings,
-    RestorationSettings,
-    check_stride,
-    psf_of,
-)
-from napari_defocus.io.pictures import write_results
+from napari_defocus.core.checks import check_stride
+from napari_defocus.core.writing import write_results
+from napari_defocus.psf.text import psf_of
+from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 VERSION_KEY = "napari_defocus"
 """Under which a file says what version wrote it."""
@@ -56,7 +51,7 @@ class Settings:
     Examples
     --------
     >>> import tempfile, pathlib
-    >>> from napari_defocus.core.settings import MaskSettings
+    >>> from napari_defocus.settings import MaskSettings
     >>> settings = Settings(mask=MaskSettings(threshold=1.5))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     settings.save(pathlib.Path(folder, "sharp.json"))

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import napari_defocus
+from napari_defocus.core.writing import UnwritableResult, check_results, unused_name
 from napari_defocus.io.multiscale import halved, level_shapes
-from napari_defocus.io.pictures import UnwritableResult, check_results, unused_name
 from napari_defocus.io.provenance import SOFTWARE, mark_in_tiff
 
 TILE = 512

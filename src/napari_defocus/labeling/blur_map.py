@@ -14,15 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.axes import arranged_image
+from napari_defocus.core.checks import Linearize, Mode, check_flag, check_weights
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import (
-    BLOCK_SIZE,
-    Linearize,
-    MapSettings,
-    Mode,
-    check_flag,
-    check_weights,
-)
 from napari_defocus.labeling.confidence import checked_map, confidence_and_caution, confidence_map
 from napari_defocus.labeling.continuous_refinement import refine_labels
 from napari_defocus.labeling.data_term import CARRIED_IN, evidence_share
@@ -47,6 +40,7 @@ from napari_defocus.likelihood.candidates import (
 )
 from napari_defocus.likelihood.noise import ShotNoise
 from napari_defocus.psf.families import Disc, PSFFamily
+from napari_defocus.settings import BLOCK_SIZE, MapSettings
 
 Float32 = NDArray[np.float32]
 

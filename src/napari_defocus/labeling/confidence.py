@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 
+from napari_defocus.core.checks import check_risk
 from napari_defocus.core.image import given_array
-from napari_defocus.core.settings import RestorationSettings, check_risk
 from napari_defocus.labeling.data_term import averaged_curve, informed_share
 from napari_defocus.likelihood.candidates import BlurCandidates, as_lazy
+from napari_defocus.settings import RestorationSettings
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import MapSettings
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.multigrid import STEPS, Float32, Labels
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.settings import MapSettings
 
 Float64 = NDArray[np.floating]
 Slices = tuple[slice, slice]

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import check_flag, check_real
 from napari_defocus.core.image import PreparedImage, given_array, given_image, prepare_image
-from napari_defocus.core.settings import check_flag, check_real
 from napari_defocus.labeling.confidence import TOLERANCE
 from napari_defocus.labeling.data_term import CARRIED_IN, asked_windows, evidence_share
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import check_real
 from napari_defocus.core.image import given_array
-from napari_defocus.core.settings import CONFIDENT, check_real
-from napari_defocus.io.pictures import write_results
+from napari_defocus.core.writing import write_results
+from napari_defocus.settings import CONFIDENT
 
 MIN_AREA = 16
 """Smaller regions, in px, are left out unless another area is asked for: one block of the map."""

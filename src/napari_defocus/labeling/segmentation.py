@@ -10,18 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import check_threshold, check_weights
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import (
-    MaskSettings,
-    check_threshold,
-    check_weights,
-)
 from napari_defocus.labeling.graph_cuts import solve_exactly
 from napari_defocus.labeling.multigrid import coarser
 from napari_defocus.labeling.pixel_refinement import Blocks, label_pixels
 from napari_defocus.labeling.problem import CoarseLabels, Scene
 from napari_defocus.labeling.seeds import checked_seeds
 from napari_defocus.likelihood.candidates import BlurCandidates, as_lazy
+from napari_defocus.settings import MaskSettings
 
 Float32 = NDArray[np.float32]
 

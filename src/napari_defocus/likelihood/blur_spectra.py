@@ -14,9 +14,10 @@ from scipy.fft import fft, fft2, next_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from napari_defocus.core.settings import MapSettings, Spectra
+from napari_defocus.core.checks import Spectra
 from napari_defocus.likelihood.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
 from napari_defocus.psf.families import PSFFamily, as_family
+from napari_defocus.settings import MapSettings
 
 Float64 = NDArray[np.floating]
 

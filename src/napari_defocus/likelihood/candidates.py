@@ -9,13 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.axes import arranged_image
-from napari_defocus.core.image import PreparedImage, prepare_image
-from napari_defocus.core.intensity import Intensities
-from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import (
-    BLOCK_SIZE,
+from napari_defocus.core.checks import (
     Linearize,
-    MapSettings,
     Mode,
     Spectra,
     check_block_size,
@@ -25,6 +20,9 @@ from napari_defocus.core.settings import (
     check_real,
     check_stride,
 )
+from napari_defocus.core.image import PreparedImage, prepare_image
+from napari_defocus.core.intensity import Intensities
+from napari_defocus.core.progress import Progress, silent
 from napari_defocus.io.lazy_arrays import need_large_extra
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.blur_spectra import (
@@ -41,6 +39,7 @@ from napari_defocus.likelihood.profile_likelihood import (
     quasi_log_likelihood,
 )
 from napari_defocus.psf.families import Disc, PSFFamily
+from napari_defocus.settings import BLOCK_SIZE, MapSettings
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]

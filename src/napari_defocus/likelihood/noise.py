@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import dctn
 from scipy.ndimage import correlate1d, uniform_filter
 
+from napari_defocus.core.checks import Linearize, check_real
 from napari_defocus.core.image import PreparedImage, prepare_image
-from napari_defocus.core.settings import Linearize, MapSettings, check_real
+from napari_defocus.settings import MapSettings
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

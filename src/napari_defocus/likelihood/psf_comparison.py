@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import Linearize, check_noise_variance
 from napari_defocus.core.image import prepare_image
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import Linearize, MapSettings, check_noise_variance
 from napari_defocus.likelihood.blur_spectra import check_windows, label_scales, spectrum_table
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers, within_picture
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.text import psf_text
+from napari_defocus.settings import MapSettings
 
 _WINDOWS_APART = 4
 _LARGEST_LOSS = 10.0

@@ -10,10 +10,10 @@ from typing import Self, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import Side
 from napari_defocus.core.image import given_array
-from napari_defocus.core.settings import Side, radius_per_scale
 from napari_defocus.optics.exif import noted_lens
-from napari_defocus.psf.families import Disc, PSFFamily, as_family, check_number
+from napari_defocus.psf.families import Disc, PSFFamily, as_family, check_number, radius_per_scale
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -19,9 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf, gammaincinv, gammaln
 
-from napari_defocus.core.settings import MapSettings, check_real
+from napari_defocus.core.checks import check_real
 
 Float64 = NDArray[np.floating]
+
+MAX_RADIUS = 8.0
+"""Largest radius, in px, that is looked for unless another one is said."""
 
 _GAUSSIAN_CUT = 4.0
 _TAIL = 1e-4
@@ -75,7 +78,7 @@ class Disc:
            [0.025, 0.145, 0.025]])
     """
 
-    max_radius: float = MapSettings.max_radius
+    max_radius: float = MAX_RADIUS
     scale_name: ClassVar[str] = "radius (px)"
 
     def __post_init__(self) -> None:
@@ -115,7 +118,7 @@ class Annulus:
     """
 
     obstruction: float = 0.5
-    max_radius: float = MapSettings.max_radius
+    max_radius: float = MAX_RADIUS
     scale_name: ClassVar[str] = "outer radius (px)"
 
     def __post_init__(self) -> None:
@@ -177,7 +180,7 @@ class Polygon:
 
     blades: int = 6
     rotation: float = 0.0
-    max_radius: float = MapSettings.max_radius
+    max_radius: float = MAX_RADIUS
     scale_name: ClassVar[str] = "equal-area radius (px)"
 
     def __post_init__(self) -> None:
@@ -228,7 +231,7 @@ class Gaussian:
            [0.002, 0.043, 0.002]])
     """
 
-    max_sigma: float = MapSettings.max_radius / 2
+    max_sigma: float = MAX_RADIUS / 2
     scale_name: ClassVar[str] = "standard deviation (px)"
 
     def __post_init__(self) -> None:
@@ -280,7 +283,7 @@ class GeneralizedGaussian:
     """
 
     exponent: float = 2.0
-    max_sigma: float = MapSettings.max_radius / 2
+    max_sigma: float = MAX_RADIUS / 2
     scale_name: ClassVar[str] = "standard deviation (px)"
 
     def __post_init__(self) -> None:
@@ -347,7 +350,7 @@ class KernelFunction:
     """
 
     function: Callable[[float], ArrayLike]
-    max_scale: float = MapSettings.max_radius
+    max_scale: float = MAX_RADIUS
     scale_name: str = "scale (px)"
 
     def __post_init__(self) -> None:
@@ -495,3 +498,8 @@ def _polygon_area_below(row: Float64, column: Float64, corners: Float64) -> Floa
     span = np.abs(row_start) + np.abs(row_stop)
     mean = inside**2 / (2 * np.maximum(span, np.finfo(float).tiny))
     return np.sum((start - stop) * mean, axis=0)
+
+
+def radius_per_scale(family: PSFFamily) -> int:
+    """Return how many px of blur radius a px of a family's scale is: 2 for standard deviations."""
+    return 2 if family.scale_name.startswith("standard deviation") else 1

@@ -205,7 +205,7 @@ class MeasuredPSF:
         OSError
             If the file cannot be written; the message has the path and the reason.
         """
-        from napari_defocus.io.pictures import write_results
+        from napari_defocus.core.writing import write_results
 
         buffer = io.BytesIO()
         np.savez_compressed(

@@ -13,6 +13,7 @@ from napari_defocus.psf.families import (
     GeneralizedGaussian,
     Polygon,
     PSFFamily,
+    radius_per_scale,
 )
 from napari_defocus.psf.measured import MeasuredPSF
 
@@ -100,3 +101,39 @@ def psf_text(psf: PSFFamily) -> str:
             values = (str(value).removesuffix(".0") for value in astuple(psf)[:-1])
             return ":".join([name, *values])
     raise ValueError(f"psf is {psf!r}, which has no text form; it takes {PSF_TEXTS}")
+
+
+def psf_of(text: str, max_radius: float) -> PSFFamily:
+    """Make a PSF family for blurs up to a radius.
+
+    A disc of radius r has a standard deviation of r / 2 along an axis: families whose scale is
+    a standard deviation are looked for up to half of `max_radius`. Measured ones are looked for
+    up to their own largest scale if that is smaller.
+
+    Parameters
+    ----------
+    text : str
+        What `napari_defocus.psf_from_text` reads.
+    max_radius : float
+        Largest radius that is looked for, in px.
+
+    Returns
+    -------
+    PSFFamily
+
+    Raises
+    ------
+    ValueError
+        If the text names no family, or the largest scale comes out below 1 px.
+
+    Examples
+    --------
+    >>> psf_of("gaussian", 6.0)
+    Gaussian(max_sigma=3.0)
+    """
+    family = psf_from_text(text)
+    if isinstance(family, MeasuredPSF):
+        largest = min(max_radius, family.max_scale)
+    else:
+        largest = max_radius / radius_per_scale(family)
+    return psf_from_text(text, largest)

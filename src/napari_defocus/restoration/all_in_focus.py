@@ -8,6 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.axes import arranged_image
+from napari_defocus.core.checks import (
+    Linearize,
+    check_block_size,
+    check_linearize,
+    check_noise_variance,
+    check_tv_weight,
+)
 from napari_defocus.core.image import (
     LUMA_WEIGHTS,
     PreparedImage,
@@ -18,22 +25,13 @@ from napari_defocus.core.image import (
 )
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import (
-    BLOCK_SIZE,
-    Linearize,
-    MapSettings,
-    RestorationSettings,
-    check_block_size,
-    check_linearize,
-    check_noise_variance,
-    check_tv_weight,
-)
 from napari_defocus.core.threads import thread_count
 from napari_defocus.forward.blur_operator import checked_scales
 from napari_defocus.io.lazy_arrays import need_large_extra
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import Disc, PSFFamily, as_family
 from napari_defocus.restoration.deconvolution import Deconvolution
+from napari_defocus.settings import BLOCK_SIZE, MapSettings, RestorationSettings
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -29,9 +29,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, minimum_filter
 
+from napari_defocus.core.checks import Linearize
 from napari_defocus.core.image import PreparedImage, decode_srgb
 from napari_defocus.core.progress import Progress
-from napari_defocus.core.settings import Linearize
 from napari_defocus.core.threads import in_bands
 from napari_defocus.forward.blur_operator import BlurOperator, half_variance_slope
 from napari_defocus.psf.families import PSFFamily

@@ -8,6 +8,14 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import (
+    Linearize,
+    Side,
+    check_aperture,
+    check_focus,
+    check_noise_variance,
+    check_tv_weight,
+)
 from napari_defocus.core.image import (
     PreparedImage,
     encode_srgb,
@@ -16,23 +24,13 @@ from napari_defocus.core.image import (
     with_unknown,
 )
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import (
-    Linearize,
-    RefocusSettings,
-    RestorationSettings,
-    Side,
-    check_aperture,
-    check_focus,
-    check_noise_variance,
-    check_tv_weight,
-    radius_per_scale,
-)
 from napari_defocus.forward.blur_operator import checked_scales
 from napari_defocus.forward.occlusion import Layers, spread_layers
 from napari_defocus.optics.thin_lens import checked_side
-from napari_defocus.psf.families import Disc, PSFFamily, as_family
+from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
 from napari_defocus.psf.measured import MeasuredPSF
 from napari_defocus.restoration.all_in_focus import restore_all_in_focus
+from napari_defocus.settings import RefocusSettings, RestorationSettings
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import check_confidence, check_real
 from napari_defocus.core.image import given_array
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import CONFIDENT, MaskSettings, check_confidence, check_real
+from napari_defocus.settings import CONFIDENT, MaskSettings
 
 Float64 = NDArray[np.float64]
 
@@ -77,7 +78,7 @@ class FocusCurve:
             If the file cannot be written or exists already; the message has the path and the
             reason.
         """
-        from napari_defocus.io.pictures import write_results
+        from napari_defocus.core.writing import write_results
 
         write_results({Path(path): self._table().encode()}, force=force)
 

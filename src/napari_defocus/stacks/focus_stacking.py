@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.core.image import PreparedImage, checked_range, prepare_image
-from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
-from napari_defocus.core.known_pixels import limits_of
-from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import (
+from napari_defocus.core.checks import (
     Linearize,
-    MapSettings,
     check_linearize,
     check_noise_variance,
     check_real,
     check_stride,
     check_weights,
 )
+from napari_defocus.core.image import PreparedImage, checked_range, prepare_image
+from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
+from napari_defocus.core.known_pixels import limits_of
+from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.pixel_refinement import Blocks
 from napari_defocus.likelihood.blur_spectra import check_windows
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import Disc, PSFFamily
+from napari_defocus.settings import MapSettings
 from napari_defocus.stacks.depth_from_focus import RingBank, Sweep
 from napari_defocus.stacks.focus_labels import FocusGrid, fine_detail
 from napari_defocus.stacks.planes import StackPlanes

@@ -26,13 +26,13 @@ from numpy.typing import DTypeLike, NDArray
 from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
 from napari_defocus.core.known_pixels import known_values, limits_of
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import RestorationSettings
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.likelihood.blur_spectra import label_scales
 from napari_defocus.likelihood.candidates import Search
 from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
+from napari_defocus.settings import RestorationSettings
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
 from napari_defocus.tiled.tile_graph import (
     PartGraph,

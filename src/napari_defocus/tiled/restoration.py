@@ -9,12 +9,13 @@ import numpy as np
 from dask.delayed import Delayed
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import Linearize
 from napari_defocus.core.image import PreparedImage, prepare_image, with_unknown
 from napari_defocus.core.intensity import Intensities, IntensityRange, needs_limits
 from napari_defocus.core.progress import Progress
-from napari_defocus.core.settings import Linearize, MapSettings
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.restoration.all_in_focus import in_shape_of, restored_colors
+from napari_defocus.settings import MapSettings
 from napari_defocus.tiled.candidates import (
     computed,
     intensities_of_plane,

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import Linearize, Mode, Spectra
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, found_intensities
-from napari_defocus.core.settings import Linearize, MaskSettings, Mode, Spectra
 from napari_defocus.labeling.blur_map import blur_map_of_scene, carried_in, coarse_problem
 from napari_defocus.labeling.confidence import confidence_and_caution, confidence_map
 from napari_defocus.labeling.graph_cuts import minimize_energy, solve_exactly
@@ -25,6 +25,7 @@ from napari_defocus.likelihood.noise import (
     noise_variance_of_samples,
 )
 from napari_defocus.psf.families import PSFFamily
+from napari_defocus.settings import MaskSettings
 from napari_defocus.tiled.tiles import Part, blended
 
 Float32 = NDArray[np.float32]

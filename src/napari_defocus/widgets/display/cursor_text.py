@@ -12,8 +12,8 @@ from typing import Any
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
-from napari_defocus.core.settings import CONFIDENT
 from napari_defocus.psf.families import Disc
+from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.layers.picker import value_at
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,

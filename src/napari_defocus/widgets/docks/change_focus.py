@@ -9,7 +9,8 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 from napari.utils.notifications import show_warning
 
-from napari_defocus.core.settings import Linearize, MapSettings, RefocusSettings
+from napari_defocus.core.checks import Linearize
+from napari_defocus.settings import MapSettings, RefocusSettings
 from napari_defocus.widgets.forms.from_map_panel import FromMapPanel, Work
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
 from napari_defocus.widgets.forms.run_panel import wrap

@@ -11,7 +11,7 @@ from napari.utils.notifications import show_error, show_info, show_warning
 from qtpy.QtWidgets import QApplication, QFileDialog, QGridLayout, QWidget
 
 from napari_defocus import Settings
-from napari_defocus.core.settings import MaskSettings
+from napari_defocus.settings import MaskSettings
 from napari_defocus.widgets.display.region_table import wanted_regions
 from napari_defocus.widgets.display.relief import hide_relief, show_made_relief, wanted_relief
 from napari_defocus.widgets.display.view_state import way_back

@@ -16,7 +16,7 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
 from napari_defocus.io.encoders import (
     blur_map_tiff,
     confidence_tiff,
@@ -24,7 +24,7 @@ from napari_defocus.io.encoders import (
     holds,
     values_in_tiff,
 )
-from napari_defocus.io.pictures import NeedsForce, UnwritableResult, write_results
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.export.stores import NotAMapError, copy_store, is_kept
 from napari_defocus.widgets.layers.result_layers import COLOR_MAP, CONFIDENCE_COLOR_MAP
 from napari_defocus.widgets.layers.result_metadata import (

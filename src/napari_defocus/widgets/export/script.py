@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
-from napari_defocus.core.settings import MapSettings, MaskSettings, RefocusSettings
+from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings
 from napari_defocus.widgets.export.script_picture import PictureSource, picture_source
 from napari_defocus.widgets.export.script_text import (
     call,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from napari_defocus.io.pictures import UnwritableResult
+from napari_defocus.core.writing import UnwritableResult
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, STORE
 
 ENDING = ".ome.zarr"

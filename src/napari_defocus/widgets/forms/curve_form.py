@@ -7,7 +7,7 @@ from magicgui.widgets import ComboBox, FloatSpinBox, Widget
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
-from napari_defocus.core.settings import MaskSettings
+from napari_defocus.settings import MaskSettings
 from napari_defocus.widgets.display.focus_stack import (
     FocusStack,
     confidence_of,

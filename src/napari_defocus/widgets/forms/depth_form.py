@@ -7,7 +7,7 @@ from typing import Any
 from magicgui.widgets import CheckBox, FloatSpinBox, Widget
 from napari.utils.notifications import show_warning
 
-from napari_defocus.core.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.forms.run_panel import wrap
 from napari_defocus.widgets.forms.side_field import side_field, side_note
 from napari_defocus.widgets.forms.thin_lens_form import ThinLensForm

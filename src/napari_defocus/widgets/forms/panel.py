@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 
 from napari_defocus import PSFEvidence
-from napari_defocus.core.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.display.add_results import show_results, showing_results
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.lens_comparison import LensComparison

@@ -2,7 +2,7 @@
 
 from magicgui.widgets import CheckBox, Widget
 
-from napari_defocus.core.settings import RestorationSettings
+from napari_defocus.settings import RestorationSettings
 from napari_defocus.widgets.forms.settings_form import automatic_field, number_or_none
 
 

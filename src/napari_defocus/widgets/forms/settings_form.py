@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from magicgui.widgets import CheckBox, FloatSpinBox, LineEdit, PushButton, Widget
 
-from napari_defocus.core.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.forms.lens_form import LensForm
 from napari_defocus.widgets.forms.slider_field import SliderField
 from napari_defocus.widgets.jobs.estimation import LARGEST_RADIUS

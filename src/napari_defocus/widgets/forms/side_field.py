@@ -2,7 +2,7 @@
 
 from magicgui.widgets import ComboBox, Label
 
-from napari_defocus.core.settings import Side
+from napari_defocus.core.checks import Side
 
 SIDES: dict[str, Side] = {"behind what is in focus": "far", "before what is in focus": "near"}
 

@@ -10,14 +10,10 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import (
-    COMPARED_PSFS,
-    MapSettings,
-    MaskSettings,
-    check_threshold,
-    psf_of,
-)
+from napari_defocus.psf.text import psf_of
+from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.estimation import (
     ESTIMATION_SHARE,

@@ -67,7 +67,7 @@ class Calibration:
         self._check_file()
 
     def _check_file(self) -> None:
-        from napari_defocus.io.pictures import NeedsForce, check_results
+        from napari_defocus.core.writing import NeedsForce, check_results
 
         if self.file.suffix.lower() != ".npz":
             raise ValueError("Choose a file to save the lens in; its name must end in .npz.")

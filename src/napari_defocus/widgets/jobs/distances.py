@@ -12,8 +12,9 @@ from napari.utils.colormaps import Colormap, ensure_colormap
 from napari.utils.transforms import Affine, CompositeAffine
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import Side, check_confidence
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import CONFIDENT, Side, check_confidence
+from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.estimation import Picture
 from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource

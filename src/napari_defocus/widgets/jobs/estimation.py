@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import MapSettings, MaskSettings
 from napari_defocus.core.worker_process import run_elsewhere
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.cache import KeptWork, fingerprint
 from napari_defocus.widgets.layers.image_layers import Plane
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.axes import known_axis
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import CONFIDENT, MapSettings
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
+from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.tiled_job import as_dask
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, check_pixels

@@ -9,12 +9,13 @@ from napari.layers import Labels
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import CONFIDENT, MapSettings, MaskSettings, check_threshold
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.tiled_job import PartByPart, measure_into
 from napari_defocus.widgets.layers.image_layers import LARGEST_IN_MEMORY, Plane

@@ -16,7 +16,9 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress
-from napari_defocus.core.settings import MapSettings, psf_of, radius_per_scale
+from napari_defocus.psf.families import radius_per_scale
+from napari_defocus.psf.text import psf_of
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.estimation import LARGEST_RADIUS, Picture, estimated_map, known_map
 from napari_defocus.widgets.layers.alignment import lies_on, same_part

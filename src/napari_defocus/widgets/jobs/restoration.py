@@ -9,9 +9,10 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import Linearize
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.core.settings import CONFIDENT, Linearize, RefocusSettings, RestorationSettings
+from napari_defocus.settings import CONFIDENT, RefocusSettings, RestorationSettings
 from napari_defocus.widgets.jobs.cache import KeptWork, fingerprint
 from napari_defocus.widgets.jobs.estimation import Picture
 from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource

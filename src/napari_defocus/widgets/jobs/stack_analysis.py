@@ -13,8 +13,8 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.settings import CONFIDENT, MapSettings, MaskSettings
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.analysis import Analysis
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, duration, within
-from napari_defocus.core.settings import BLOCK_SIZE, MapSettings, MaskSettings
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 _NOISE_SHARE, _WRITTEN_SHARE = 0.04, 0.97
 _TOLD_FROM = 0.05

@@ -10,14 +10,8 @@ from napari.settings import get_plugin_settings
 from napari.utils.notifications import show_warning
 
 from napari_defocus import Settings
-from napari_defocus.core.settings import (
-    CONFIDENT,
-    MapSettings,
-    MaskSettings,
-    check_confidence,
-    check_threshold,
-    usual_threshold,
-)
+from napari_defocus.core.checks import check_confidence, check_threshold
+from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings, usual_threshold
 
 PLUGIN = "napari-defocus"
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from napari_defocus import __version__
 from napari_defocus.core.axes import is_lazy
 from napari_defocus.core.intensity import Intensities
-from napari_defocus.core.settings import MapSettings, MaskSettings
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.measured import MeasuredPSF
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,

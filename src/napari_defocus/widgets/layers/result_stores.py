@@ -21,10 +21,10 @@ from typing import Any
 from napari.types import LayerDataTuple
 
 from napari_defocus import __version__
-from napari_defocus.core.settings import MapSettings, MaskSettings
 from napari_defocus.io.lazy_arrays import lazy_array, need_large_extra
 from napari_defocus.io.ome_zarr import StoredArray
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter, new_ome_zarr
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_layers import in_levels
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, IN_FOCUS, METADATA_KEY, STORE

@@ -7,7 +7,7 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
-from napari_defocus.core.settings import MapSettings
+from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.layers.result_layers import COLOR_MAP
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, METADATA_KEY
 

@@ -1,0 +1,190 @@
+"""Every default of the method, once: functions, terminal and widgets all read them here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from napari_defocus.core.checks import (
+    Linearize,
+    Mode,
+    Side,
+    check_aperture,
+    check_flag,
+    check_focus,
+    check_linearize,
+    check_mode,
+    check_noise_variance,
+    check_risk,
+    check_side,
+    check_threshold,
+    check_tv_weight,
+    check_weights,
+    check_whole,
+)
+from napari_defocus.psf.families import MAX_RADIUS, PSFFamily, radius_per_scale
+from napari_defocus.psf.text import psf_of
+
+COMPARED_PSFS = (
+    "disc",
+    "polygon:5",
+    "polygon:6",
+    "polygon:8",
+    "annulus:0.3",
+    "annulus:0.5",
+    "gaussian",
+)
+"""The lenses that are compared unless others are named; each as `psf_from_text` reads it."""
+
+BLOCK_SIZE = 1024
+"""Side, in px, of the parts in which large pictures are worked on: memory is bounded by it."""
+
+CONFIDENT = 0.5
+"""The confidence from which on a pixel counts as sure, where shares of a picture are told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSettings:
+    """What shapes a blur map.
+
+    Attributes
+    ----------
+    noise_variance : float or None
+        Variance of the noise in the luminance, intensities in [0, 1]; None finds it from
+        the picture.
+    psf : str
+        The PSF family, as `napari_defocus.psf_from_text` reads it.
+    max_radius : float
+        Largest blur radius that is looked for, in px; see `psf_of` for families whose scale is
+        no radius.
+    window : int
+        Side N of the analysis window, in px; odd.
+    stride : int
+        Distance between analysed windows, in px.
+    smoothness : float
+        lambda_0 of (16), per label step of 0.1 px.
+    color_sigma : float
+        sigma_lambda of (16), as a share of the picture's contrast.
+    mode : {"curve", "paper"}
+        The paper's method to the letter, or with what measurements added to it: a
+        quasi-likelihood, and its whole curve as data term of (14).
+    linearize : {"srgb"} or None
+        Estimate on intensities decoded into linear light, in which blur is a convolution.
+    shot_noise : bool
+        Whether the noise grows with the intensity; how, is found from the picture.
+    """
+
+    noise_variance: float | None = None
+    psf: str = "disc"
+    max_radius: float = MAX_RADIUS
+    window: int = 41
+    stride: int = 4
+    smoothness: float = 20.0
+    color_sigma: float = 0.1
+    mode: Mode = "curve"
+    linearize: Linearize | None = None
+    shot_noise: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_noise_variance(self.noise_variance)
+        check_weights(self.smoothness, self.color_sigma)
+        check_mode(self.mode)
+        check_linearize(self.linearize)
+        check_whole("window", self.window)
+        check_whole("stride", self.stride)
+        check_flag("shot_noise", self.shot_noise)
+        if self.shot_noise and self.noise_variance is not None:
+            raise ValueError(
+                f"noise_variance is {self.noise_variance} and shot_noise is set; "
+                "noise that grows with the intensity is found from the picture"
+            )
+
+    def family(self) -> PSFFamily:
+        """Return the PSF family that `psf` and `max_radius` say, see `psf_of`."""
+        return psf_of(self.psf, self.max_radius)
+
+
+def usual_threshold(family: PSFFamily) -> float:
+    """Return the default threshold of a mask in a family's own scale, in px, see `psf_of`."""
+    return MaskSettings.threshold / radius_per_scale(family)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskSettings:
+    """What shapes an in-focus mask, given the candidates.
+
+    Attributes
+    ----------
+    threshold : float
+        tau of (18): the largest radius, in px, that counts as in focus; for families whose
+        scale is no radius, the largest scale, see `usual_threshold`.
+    smoothness : float
+        lambda_0 of (16) for the mask.
+    color_sigma : float
+        sigma_lambda of (16) for the mask, as a share of the picture's contrast.
+    """
+
+    threshold: float = 2.0
+    smoothness: float = 1000.0
+    color_sigma: float = 0.04
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_threshold(self.threshold, math.inf)
+        check_weights(self.smoothness, self.color_sigma)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestorationSettings:
+    """What shapes an all-in-focus picture.
+
+    Attributes
+    ----------
+    noise_variance : float or None
+        Variance of the noise in the luminance, intensities in [0, 1]; None finds it from
+        the picture.
+    tv_weight : float or None
+        lambda of (19), intensities in [0, 1]; None derives it from the noise variance.
+    risk : float
+        Of taking too much blur away, see `napari_defocus.cautious_blur_map`.
+    """
+
+    noise_variance: float | None = None
+    tv_weight: float | None = None
+    risk: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_noise_variance(self.noise_variance)
+        check_tv_weight(self.tv_weight)
+        check_risk(self.risk)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefocusSettings:
+    """What shapes a picture with another focus.
+
+    Attributes
+    ----------
+    focus : float
+        The blur, in px, of what shall be sharp; negative on the other side of the old focus.
+    aperture : float
+        How many times as wide the blur shall be.
+    side : {"far", "near"}
+        On which side of the old focus everything blurred lies.
+    linearize : {"srgb"} or None
+        Decode into linear light, blur there, and encode again.
+    """
+
+    focus: float = 0.0
+    aperture: float = 1.0
+    side: Side = "far"
+    linearize: Linearize | None = "srgb"
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        check_focus(self.focus)
+        check_aperture(self.aperture)
+        check_side(self.side)
+        check_linearize(self.linearize)
