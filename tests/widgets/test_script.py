@@ -19,7 +19,7 @@ import napari_defocus
 from napari_defocus import Annulus, MeasuredPSF, ThinLens
 from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 from napari_defocus.widgets.export.script import script_of
-from napari_defocus.widgets.export.script_text import text_literal
+from napari_defocus.widgets.export.script_picture import text_literal
 from napari_defocus.widgets.jobs.analysis import Analysis
 from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.distances import Distances

@@ -1,66 +1,82 @@
-"""A run as a Python script that gives the same arrays without napari: no Qt, any thread."""
+"""A run as a Python script that gives the same arrays without napari: no Qt, any thread.
+
+Its layout is one that ruff and Black leave as it is, whatever length of lines they are set to:
+calls have their arguments on one short line, or one a line with a comma after the last.
+"""
 
 from __future__ import annotations
 
+import ast
 import base64
 import zlib
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from numbers import Integral
 from pathlib import Path
+from string import Template
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus import __version__
-from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings
-from napari_defocus.widgets.export.script_picture import PictureSource, picture_source
-from napari_defocus.widgets.export.script_text import (
-    call,
-    differing,
-    import_block,
-    literal,
-    shortened,
-    text_literal,
-)
+import napari_defocus
+from napari_defocus.settings import MapSettings
+from napari_defocus.widgets.export.script_picture import picture_source, shortened, text_literal
 from napari_defocus.widgets.jobs.analysis import Analysis
 from napari_defocus.widgets.jobs.distances import Distances
 from napari_defocus.widgets.jobs.estimation import Picture
-from napari_defocus.widgets.jobs.map_source import EstimatedSource, MapSource
+from napari_defocus.widgets.jobs.map_source import EstimatedSource
 from napari_defocus.widgets.jobs.restoration import Refocusing, Restoration
-from napari_defocus.widgets.layers.seeds import Seeds
 
 Work = Analysis | Restoration | Refocusing | Distances
 
-_FINGERPRINT = '''
+_IMPORTS = """\
+import base64
+import hashlib
+import sys
+import zlib
+from importlib.resources import files
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+from napari_defocus import PUBLIC
+from napari_defocus.io.pictures import read_picture
+from skimage.data import grass
+from skimage.transform import resize"""
+"""All that a script may need, in the order of ruff."""
+
+_SCRIPT = Template('''"""Repeat a run of napari-defocus $version without napari: the same arrays.
+
+Run it, or import its variables; it writes nothing.
+"""
+
+$imports
+
+# The layer $layer of napari.
+$constants
+
+
 def fingerprint(image):
     """Return what tells pictures apart: a digest of shape, dtype and pixels."""
     what = repr((image.shape, image.dtype.str)).encode()
     digest = hashlib.blake2b(what, digest_size=16)
     digest.update(np.ascontiguousarray(image).data)
     return digest.hexdigest()
-'''
 
 
-@dataclass
-class _Script:
-    """A script that is being written.
+$reading
+if fingerprint(image) != FINGERPRINT:
+    print(
+        $message,
+        file=sys.stderr,
+    )
 
-    Attributes
-    ----------
-    names : list of str
-        What it takes from `napari_defocus`.
-    imports, constants, steps : list of str
-        Lines.
-    """
+$steps
+''')
 
-    names: list[str] = field(default_factory=list)
-    imports: list[str] = field(default_factory=list)
-    constants: list[str] = field(default_factory=list)
-    steps: list[str] = field(default_factory=list)
 
-    def step(self, target: str, function: str, *arguments: str, **keywords: str) -> None:
-        """Add a call of a public function."""
-        self.names.append(function)
-        self.steps += call(function, arguments, keywords, target=target)
+_CONFIDENCE = "confidence = confidence_map(candidates, blur_map)"
 
 
 def script_of(work: Work, picture_file: Path | None = None) -> str:
@@ -94,163 +110,165 @@ def script_of(work: Work, picture_file: Path | None = None) -> str:
     """
     picture = Picture.of(work.plane)
     source = picture_source(picture, picture_file)
-    script = _Script()
-    if isinstance(work, Analysis):
-        _write_analysis(script, work)
-    else:
-        _write_from_map(script, work)
-    return _composed(script, picture, source)
+    arrays = _arrays(work) if isinstance(work, Analysis) else {}
+    packed = (_packed(name, *found) for name, found in arrays.items())
+    constants = [*source.constants, f'FINGERPRINT = "{picture.key[0]}"', *packed]
+    steps = _analysis(work) if isinstance(work, Analysis) else _from_map(work)
+    parts = {
+        "version": napari_defocus.__version__,
+        "layer": text_literal(shortened(picture.plane.name)),
+        "constants": "\n".join(constants),
+        "reading": "\n".join(source.reading),
+        "message": source.message,
+        "steps": "\n".join(
+            [*(_unpacked(name, found) for name, (found, _) in arrays.items()), *steps]
+        ),
+    }
+    imports = _imports(_SCRIPT.substitute(parts, imports=""))
+    return _SCRIPT.substitute(parts, imports=imports)
 
 
-def _composed(script: _Script, picture: Picture, source: PictureSource) -> str:
-    imports = ["import hashlib", "import sys", "import numpy as np"]
-    names = {"napari_defocus": [*script.names, *source.names]}
-    layer = text_literal(shortened(picture.plane.name))
-    constants = [*source.constants, f'FINGERPRINT = "{picture.key[0]}"']
-    lines = [
-        f'"""Repeat a run of napari-defocus {__version__} without napari: the same arrays.',
-        "",
-        "Run it, or import its variables; it writes nothing.",
-        '"""',
-        "",
-        *import_block({*imports, *script.imports, *source.imports}, names),
-        "",
-        f"# The layer {layer} of napari.",
-        *constants,
-        *script.constants,
-        "",
-        *_FINGERPRINT.splitlines(),
-        "",
-        "",
-        *source.reading,
-        "if fingerprint(image) != FINGERPRINT:",
-        *call("print", [source.message], {"file": "sys.stderr"}, indent=4),
-        "",
-        *script.steps,
-    ]
-    return "\n".join(lines) + "\n"
+def _imports(script: str) -> str:
+    """Return the imports of those names that a script uses."""
+    used = {node.id for node in ast.walk(ast.parse(script)) if isinstance(node, ast.Name)}
+    public = sorted(used & {*napari_defocus.__all__})
+    block = "\n".join(["(", *(f"    {name}," for name in public), ")"])
+    lines = _IMPORTS.splitlines()
+    kept = [line for line in lines if not line or line.split()[-1] in {*used, "PUBLIC"}]
+    return "\n".join(kept).replace("PUBLIC", block)
 
 
-def _write_analysis(script: _Script, work: Analysis) -> None:
-    inside = work.plane.inside
+def _call(target: str, function: str, *arguments: str, **keywords: str) -> str:
+    """Return a call whose value a variable gets."""
+    if not keywords:
+        return f"{target} = {function}({', '.join(arguments)})"
+    given = [*arguments, *(f"{name}={value}" for name, value in keywords.items())]
+    return "\n".join([f"{target} = {function}(", *(f"    {each}," for each in given), ")"])
+
+
+def _literal(value: Any) -> str:
+    """Return a text, a number, a bool or None as Python writes it; numbers to the last digit."""
+    if isinstance(value, str):
+        return text_literal(value)
+    if value is None or isinstance(value, bool):
+        return repr(value)
+    if isinstance(value, Integral):
+        return repr(int(value))
+    return repr(float(value)) if np.isfinite(value) else f'float("{float(value)}")'
+
+
+def _unusual(settings: Any, *names: str) -> dict[str, str]:
+    """Return as keywords those settings that are not as their class has them; by default all."""
+    values = {name: getattr(settings, name) for name in names or (f.name for f in fields(settings))}
+    usual = type(settings)
+    return {n: _literal(value) for n, value in values.items() if value != getattr(usual, n)}
+
+
+def _arrays(work: Analysis) -> dict[str, tuple[NDArray[Any], str]]:
+    """Return the arrays of small whole numbers that a script brings along, and what they are."""
+    inside, seeds = work.plane.inside, work.seeds
+    found: dict[str, tuple[NDArray[Any], str]] = {}
     if inside is not None:
-        told = "Which pixels the shapes of the region enclose: what is outside does not count."
-        _write_array(script, "inside", inside, told)
-    _write_candidates(script, work.estimation)
-    if work.blur_map:
-        _write_map(script, work.estimation)
-    if work.blur_map and work.confidence:
-        script.step("confidence", "confidence_map", "candidates", "blur_map")
-        if inside is not None:
-            script.steps.append("confidence[inside == 0] = 0")
-    if work.mask is not None:
-        seeds = _write_seeds(script, work.seeds)
-        said = differing(work.mask, [each.name for each in fields(MaskSettings)])
-        keywords = said | seeds
-        script.step("in_focus", "segment_in_focus", "candidates", "image", **keywords)
-        if inside is not None:
-            script.steps.append("in_focus[inside == 0] = 0")
+        what = "Which pixels the shapes of the region enclose: what is outside does not count."
+        found["inside"] = inside, what
+    if work.mask is not None and seeds is not None and seeds.values.any():
+        what = "What was painted, pixel by pixel: 1 in focus, 2 blurred, 0 not known."
+        found["seeds"] = seeds.values, what
+    return found
 
 
-def _write_candidates(script: _Script, settings: MapSettings) -> None:
-    light = differing(settings, ["linearize"])
-    said = differing(settings, ["noise_variance", "window", "stride", "mode"])
-    if settings.shot_noise:
-        script.step("noise", "estimate_shot_noise", "image", **light)
-        said["noise_variance"] = "noise"
-    lens = _write_lens(script, settings)
-    keywords = lens | said | light
-    script.step("candidates", "estimate_candidates", "image", **keywords)
-
-
-def _write_lens(script: _Script, settings: MapSettings) -> dict[str, str]:
-    if (settings.psf, settings.max_radius) == (MapSettings.psf, MapSettings.max_radius):
-        return {}
-    text = settings.psf
-    if text.lower().endswith(".npz"):
-        text = str(Path(text).absolute())
-    largest = literal(settings.family().max_scale)
-    script.step("psf", "psf_from_text", text_literal(text), max_scale=largest)
-    return {"psf": "psf"}
-
-
-def _write_map(script: _Script, settings: MapSettings) -> None:
-    keywords = differing(settings, ["smoothness", "color_sigma"])
-    script.step("blur_map", "label_blur_map", "candidates", "image", **keywords)
-
-
-def _write_seeds(script: _Script, seeds: Seeds | None) -> dict[str, str]:
-    if seeds is None or not seeds.values.any():
-        return {}
-    told = "What was painted, pixel by pixel: 1 in focus, 2 blurred, 0 not known."
-    _write_array(script, "seeds", seeds.values, told)
-    return {"seeds": "seeds"}
-
-
-def _write_array(script: _Script, name: str, array: NDArray[np.generic], told: str) -> None:
-    """Let the script make an array of small whole numbers, (H, W), from compressed text."""
-    rows, columns = array.shape
+def _packed(name: str, array: NDArray[Any], what: str) -> str:
     packed = zlib.compress(np.ascontiguousarray(array, np.uint8).tobytes(), 9)
     text = base64.encodebytes(packed).decode("ascii")
-    script.imports += ["import base64", "import zlib"]
-    script.constants += ["", f"# {told}", f'{name.upper()} = """', *text.splitlines(), '"""']
-    script.steps += [
-        f"{name} = np.frombuffer(zlib.decompress(base64.b64decode({name.upper()})), np.uint8)",
-        f"{name} = {name}.reshape({rows}, {columns})",
-    ]
+    return f'\n# {what}\n{name.upper()} = """\n{text}"""'
 
 
-def _write_from_map(script: _Script, work: Restoration | Refocusing | Distances) -> None:
-    """Write what is made of a picture and its map."""
-    restoration = work.restoration if isinstance(work, Refocusing) else work
-    settings = _estimation_of(restoration.source)
-    _write_candidates(script, settings)
-    _write_map(script, settings)
-    script.step("confidence", "confidence_map", "candidates", "blur_map")
-    if isinstance(restoration, Distances):
-        _write_distances(script, restoration)
-        return
-    _write_restoration(script, restoration)
-    if isinstance(work, Refocusing):
-        _write_view(script, work.view)
-
-
-def _estimation_of(source: MapSource) -> MapSettings:
-    if isinstance(source, EstimatedSource):
-        return source.settings
-    raise ValueError(
-        "The blur map is a layer's, which a script cannot make again. Have it estimated instead."
+def _unpacked(name: str, array: NDArray[Any]) -> str:
+    rows, columns = array.shape
+    unpacked = f"zlib.decompress(base64.b64decode({name.upper()}))"
+    return (
+        f"{name} = np.frombuffer({unpacked}, np.uint8)\n{name} = {name}.reshape({rows}, {columns})"
     )
 
 
-def _write_restoration(script: _Script, work: Restoration) -> None:
-    linear = {} if work.linearize is None else {"linearize": literal(work.linearize)}
-    keywords = {"psf": "candidates.psf"}
+def _analysis(work: Analysis) -> Iterator[str]:
+    arrays = _arrays(work)
+    yield from _candidates(work.estimation)
+    if work.blur_map:
+        yield _blur_map(work.estimation)
+    if work.blur_map and work.confidence:
+        yield _CONFIDENCE
+        if "inside" in arrays:
+            yield "confidence[inside == 0] = 0"
+    if work.mask is not None:
+        seeds = {"seeds": "seeds"} if "seeds" in arrays else {}
+        keywords = _unusual(work.mask) | seeds
+        yield _call("in_focus", "segment_in_focus", "candidates", "image", **keywords)
+        if "inside" in arrays:
+            yield "in_focus[inside == 0] = 0"
+
+
+def _candidates(settings: MapSettings) -> Iterator[str]:
+    light = _unusual(settings, "linearize")
+    keywords = _unusual(settings, "noise_variance", "window", "stride", "mode")
+    if settings.shot_noise:
+        yield _call("noise", "estimate_shot_noise", "image", **light)
+        keywords["noise_variance"] = "noise"
+    if (settings.psf, settings.max_radius) != (MapSettings.psf, MapSettings.max_radius):
+        is_file = settings.psf.lower().endswith(".npz")
+        text = str(Path(settings.psf).absolute()) if is_file else settings.psf
+        largest = _literal(settings.family().max_scale)
+        yield _call("psf", "psf_from_text", text_literal(text), max_scale=largest)
+        keywords["psf"] = "psf"
+    yield _call("candidates", "estimate_candidates", "image", **keywords, **light)
+
+
+def _blur_map(settings: MapSettings) -> str:
+    keywords = _unusual(settings, "smoothness", "color_sigma")
+    return _call("blur_map", "label_blur_map", "candidates", "image", **keywords)
+
+
+def _from_map(work: Restoration | Refocusing | Distances) -> Iterator[str]:
+    """Return what is made of a picture and its map."""
+    source = (work.restoration if isinstance(work, Refocusing) else work).source
+    if not isinstance(source, EstimatedSource):
+        raise ValueError(
+            "The blur map is a layer's, which a script cannot make again. Have it estimated "
+            "instead."
+        )
+    yield from _candidates(source.settings)
+    yield _blur_map(source.settings)
+    yield _CONFIDENCE
+    match work:
+        case Distances():
+            yield from _distances(work)
+        case Refocusing():
+            yield from _restoration(work.restoration)
+            keywords = {"psf": "candidates.psf", "all_in_focus": "all_in_focus"}
+            keywords = _unusual(work.view) | keywords
+            yield _call("refocused", "change_focus", "image", "blur_map", **keywords)
+        case _:
+            yield from _restoration(work)
+
+
+def _restoration(work: Restoration) -> Iterator[str]:
+    light = {} if work.linearize is None else {"linearize": _literal(work.linearize)}
+    keywords = {"psf": "candidates.psf", "noise_variance": "noise_variance"}
     blur = "blur_map"
     if work.protect:
-        blur = "safe"
-        script.step(blur, "cautious_blur_map", "candidates", "blur_map")
-        keywords["confidence"] = "confidence"
-    keywords["noise_variance"] = "noise_variance"
+        blur, keywords["confidence"] = "safe", "confidence"
+        yield _call(blur, "cautious_blur_map", "candidates", "blur_map")
     if work.settings.noise_variance is None:
-        script.step("noise_variance", "estimate_noise_variance", "image", **linear)
+        yield _call("noise_variance", "estimate_noise_variance", "image", **light)
     else:
-        keywords["noise_variance"] = literal(work.settings.noise_variance)
-    keywords |= differing(work.settings, ["tv_weight"]) | linear
-    script.step("all_in_focus", "restore_all_in_focus", "image", blur, **keywords)
+        keywords["noise_variance"] = _literal(work.settings.noise_variance)
+    keywords |= _unusual(work.settings, "tv_weight") | light
+    yield _call("all_in_focus", "restore_all_in_focus", "image", blur, **keywords)
 
 
-def _write_view(script: _Script, view: RefocusSettings) -> None:
-    said = differing(view, [each.name for each in fields(RefocusSettings)])
-    keywords = {"psf": "candidates.psf", "all_in_focus": "all_in_focus"}
-    keywords = said | keywords
-    script.step("refocused", "change_focus", "image", "blur_map", **keywords)
-
-
-def _write_distances(script: _Script, work: Distances) -> None:
-    lens = {each.name: literal(getattr(work.lens, each.name)) for each in fields(work.lens)}
-    script.step("lens", "ThinLens", **lens)
-    keywords = {"side": literal(work.side), "psf": "candidates.psf"}
-    script.step("depth", "depth_from_blur", "blur_map", "lens", **keywords)
-    limit = literal(work.min_confidence)
-    script.steps.append(f"depth[confidence < {limit}] = np.nan")
+def _distances(work: Distances) -> Iterator[str]:
+    lens = {name: _literal(value) for name, value in asdict(work.lens).items()}
+    yield _call("lens", "ThinLens", **lens)
+    keywords = {"side": _literal(work.side), "psf": "candidates.psf"}
+    yield _call("depth", "depth_from_blur", "blur_map", "lens", **keywords)
+    yield f"depth[confidence < {_literal(work.min_confidence)}] = np.nan"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from napari_defocus.io.pictures import read_picture
-from napari_defocus.widgets.export.script_text import longer_than_a_line, shortened, text_literal
 from napari_defocus.widgets.jobs.cache import fingerprint
 from napari_defocus.widgets.jobs.estimation import Picture
 from napari_defocus.widgets.layers.preferences import PLUGIN
@@ -18,9 +17,10 @@ from napari_defocus.widgets.layers.preferences import PLUGIN
 PHOTOGRAPHS = ("dandelion", "brushes")
 RAMP = "ramp"
 
-_READ_PICTURE = "from napari_defocus.io.pictures import read_picture"
-_IMAGEIO = "import imageio.v3 as iio"
-_SAMPLE_FILES = "from importlib.resources import files"
+_LONGEST_LINE = 88
+"""In letters; what ruff and Black allow by default."""
+
+_LONGEST_NAME = 30
 
 _SIMULATED_RAMP = [
     "rows, columns = np.mgrid[:300, :300]",
@@ -40,19 +40,17 @@ class PictureSource:
         Lines after which the variable `image` holds the pixels.
     message : str
         An expression: what to say if they are others than those that were analysed.
-    imports : tuple of str
-        What these lines import.
-    names : tuple of str
-        What they take from `napari_defocus`.
-    constants : list of str
+    constants : sequence of str
         Lines above them: the file.
     """
 
     reading: list[str]
     message: str
-    imports: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
-    constants: tuple[str, ...] = ()
+    constants: Sequence[str] = ()
+
+
+_OTHER_FILE = 'f"{PICTURE_FILE} is another picture than was analysed in napari."'
+_OTHER_SAMPLE = '"The sample is another picture than was analysed in napari."'
 
 
 def picture_source(picture: Picture, picture_file: Path | None = None) -> PictureSource:
@@ -91,7 +89,7 @@ def picture_source(picture: Picture, picture_file: Path | None = None) -> Pictur
 
 def _of_file(picture: Picture, path: Path) -> PictureSource | None:
     """Return how a file is read; None if it does not hold the pixels, however it is read."""
-    for expression, needed, read in _readers(path):
+    for function, read in _readers(path).items():
         # Readers raise whatever other people's files lead them into.
         try:
             whole = read(path)
@@ -99,26 +97,19 @@ def _of_file(picture: Picture, path: Path) -> PictureSource | None:
             continue
         for index in (picture.plane.index, ()):
             if _is_picture(whole, index, picture):
-                return PictureSource(
-                    _picked(expression, index),
-                    'f"{PICTURE_FILE} is another picture than was analysed in napari."',
-                    (*needed, "from pathlib import Path"),
-                    constants=tuple(_file_lines(path.absolute())),
-                )
+                reading = _picked(f"{function}(PICTURE_FILE)", index)
+                return PictureSource(reading, _OTHER_FILE, [_file_line(path.absolute())])
     return None
 
 
-def _readers(path: Path) -> list[tuple[str, tuple[str, ...], Callable[[Path], Any]]]:
-    """Return how to read a file: as a line, what it imports, and as a function."""
+def _readers(path: Path) -> dict[str, Callable[[Path], Any]]:
+    """Return what may read a file, by the names that a script calls it by."""
     if path.suffix.lower() == ".npy":
-        return [("np.load(PICTURE_FILE)", (), np.load)]
+        return {"np.load": np.load}
     import imageio.v3 as iio
 
     # The second is how napari itself reads.
-    return [
-        ("read_picture(PICTURE_FILE)", (_READ_PICTURE,), read_picture),
-        ("iio.imread(PICTURE_FILE)", (_IMAGEIO,), iio.imread),
-    ]
+    return {"read_picture": read_picture, "iio.imread": iio.imread}
 
 
 def _is_picture(whole: Any, index: tuple[int | slice, ...], picture: Picture) -> bool:
@@ -136,60 +127,55 @@ def _picked(expression: str, index: tuple[int | slice, ...]) -> list[str]:
 
 
 def _index_text(index: tuple[int | slice, ...]) -> str:
-    return ", ".join(_slice_text(at) if isinstance(at, slice) else str(int(at)) for at in index)
+    bounds = ((at.start, at.stop) if isinstance(at, slice) else (at,) for at in index)
+    return ", ".join(":".join("" if n is None else str(int(n)) for n in each) for each in bounds)
 
 
-def _slice_text(at: slice) -> str:
-    bounds = ["" if bound is None else str(int(bound)) for bound in (at.start, at.stop)]
-    step = [] if at.step in (None, 1) else [str(int(at.step))]
-    return ":".join(bounds + step)
-
-
-def _file_lines(path: Path) -> list[str]:
-    """Return the line that names a file; a long path in pieces."""
+def _file_line(path: Path) -> str:
+    """Return the line that names a file; a long path with one folder a line."""
     line = f"PICTURE_FILE = Path({text_literal(str(path))})"
-    if not longer_than_a_line(line):
-        return [line]
-    pieces = [""]
-    for part in path.parts:
-        longer = str(Path(pieces[-1], part))
-        if longer_than_a_line(f"    {text_literal(longer)},") and pieces[-1]:
-            pieces.append(part)
-        else:
-            pieces[-1] = longer
-    return ["PICTURE_FILE = Path(", *(f"    {text_literal(piece)}," for piece in pieces), ")"]
+    if len(line) <= _LONGEST_LINE:
+        return line
+    parts = (f"    {text_literal(part)}," for part in path.parts)
+    return "\n".join(["PICTURE_FILE = Path(", *parts, ")"])
 
 
 def _of_sample(picture: Picture, name: str) -> PictureSource | None:
     """Return how a sample of ours is made; None if the layer holds something else by now."""
     from napari_defocus.widgets.layers import samples
 
-    message = '"The sample is another picture than was analysed in napari."'
-    index = picture.plane.index
     if name in PHOTOGRAPHS:
-        [(photograph, *_)] = getattr(samples, name)()
-        if not _is_picture(photograph, index, picture):
-            return None
+        [(data, *_)] = getattr(samples, name)()
         lines = [f'sample = files("napari_defocus.samples") / "{name}.jpg"']
-        lines += _picked("read_picture(sample)", index)
-        return PictureSource(lines, message, (_SAMPLE_FILES, _READ_PICTURE))
-    if name != RAMP or not _is_picture(samples.simulated_ramp()[1][0], index, picture):
+        made = "read_picture(sample)"
+    elif name == RAMP:
+        data, lines = samples.simulated_ramp()[1][0], _SIMULATED_RAMP
+        made = "simulate_defocus(sharp, true_blur, noise_variance=1e-06, rng=0)"
+    else:
         return None
-    simulated = "simulate_defocus(sharp, true_blur, noise_variance=1e-06, rng=0)"
-    needed = ("from skimage.data import grass", "from skimage.transform import resize")
-    lines = [*_SIMULATED_RAMP, *_picked(simulated, index)]
-    return PictureSource(lines, message, needed, ("simulate_defocus",))
+    index = picture.plane.index
+    if not _is_picture(data, index, picture):
+        return None
+    return PictureSource([*lines, *_picked(made, index)], _OTHER_SAMPLE)
 
 
 def _to_be_named(picture: Picture) -> PictureSource:
-    name = text_literal(shortened(picture.plane.name))
-    return PictureSource(
-        _picked("iio.imread(PICTURE_FILE)", picture.plane.index),
-        'f"{PICTURE_FILE} is another picture than was analysed in napari."',
-        (_IMAGEIO, "from pathlib import Path"),
-        constants=(
-            f"# Name the file of the layer {name} here: nothing says where its",
-            "# pixels come from. One that napari has saved it in will do.",
-            'PICTURE_FILE = Path("your-picture.tif")',
-        ),
+    constants = (
+        f"# Name the file of the layer {text_literal(shortened(picture.plane.name))} here: nothing "
+        "says where its",
+        "# pixels come from. One that napari has saved it in will do.",
+        'PICTURE_FILE = Path("your-picture.tif")',
     )
+    reading = _picked("iio.imread(PICTURE_FILE)", picture.plane.index)
+    return PictureSource(reading, _OTHER_FILE, constants)
+
+
+def text_literal(text: str) -> str:
+    """Return a text as Python writes it, on one line, in the quotes that ruff likes."""
+    found = repr(text)
+    return found if "'" in text or '"' in text else f'"{found[1:-1]}"'
+
+
+def shortened(name: str) -> str:
+    """Return the beginning of a name, for comments."""
+    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
