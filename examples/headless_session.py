@@ -11,7 +11,7 @@ from napari_defocus import (
     segment_in_focus,
 )
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
@@ -42,7 +42,7 @@ def main():
         not_trusted_layer(sure, 0.5),
         in_focus_layer(plane, mask, MaskSettings(), MapSettings(), variance),
     ]
-    for layer in show_results(viewer, results):
+    for layer in add_results(viewer, results):
         print(f"{layer.name}: {layer.data.shape}, scale {layer.scale}, {layer.units}")
     print(f"noise variance {variance:.1e}")
     print(f"blur radius {np.percentile(blur_map, [5, 50, 95]).round(2)} px (5, 50, 95 %)")

@@ -57,9 +57,9 @@ def _nothing_kept(request, monkeypatch):
     if request.node.get_closest_marker("display") is None:
         return
     from napari_defocus.widgets.forms.image_panel import ImagePanel
-    from napari_defocus.widgets.jobs.cache import KeptWork
+    from napari_defocus.widgets.jobs.estimation import JobCache
 
-    monkeypatch.setattr(ImagePanel, "kept", KeptWork())
+    monkeypatch.setattr(ImagePanel, "cache", JobCache())
 
 
 class PatientQtBot(QtBot):

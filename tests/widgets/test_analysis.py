@@ -17,7 +17,7 @@ from napari_defocus.labeling.problem import with_scene
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs import estimation
 from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
@@ -42,19 +42,19 @@ def analysis(viewer, layer, *, threshold=None, blur_map=True, **estimation):
 
 
 def test_another_threshold_does_not_estimate_again(viewer, layer, method):
-    kept = KeptWork()
-    [dim] = analysis(viewer, layer, threshold=2.0, blur_map=False).run(kept)
-    [lit] = analysis(viewer, layer, threshold=3.0, blur_map=False).run(kept)
+    cache = JobCache()
+    [dim] = analysis(viewer, layer, threshold=2.0, blur_map=False).run(cache)
+    [lit] = analysis(viewer, layer, threshold=3.0, blur_map=False).run(cache)
     assert len(method.estimations) == 1
     assert (dim[0] == 0).all()
     assert (lit[0] == 1).all()
 
 
 def test_mask_reuses_what_the_map_has_found(viewer, layer, method):
-    kept = KeptWork()
-    analysis(viewer, layer).run(kept)
-    analysis(viewer, layer, smoothness=3.0).run(kept)
-    analysis(viewer, layer, threshold=2.0, blur_map=False).run(kept)
+    cache = JobCache()
+    analysis(viewer, layer).run(cache)
+    analysis(viewer, layer, smoothness=3.0).run(cache)
+    analysis(viewer, layer, threshold=2.0, blur_map=False).run(cache)
     assert len(method.estimations) == 1
 
 
@@ -69,26 +69,26 @@ def test_mask_reuses_what_the_map_has_found(viewer, layer, method):
     ],
 )
 def test_other_estimation_settings_estimate_again(viewer, layer, method, changed):
-    kept = KeptWork()
-    analysis(viewer, layer).run(kept)
-    analysis(viewer, layer, **changed).run(kept)
+    cache = JobCache()
+    analysis(viewer, layer).run(cache)
+    analysis(viewer, layer, **changed).run(cache)
     assert len(method.estimations) == 2
 
 
 def test_edited_picture_is_estimated_again(viewer, layer, method):
-    kept = KeptWork()
-    analysis(viewer, layer).run(kept)
+    cache = JobCache()
+    analysis(viewer, layer).run(cache)
     layer.data[10, 10] = 0.0
-    analysis(viewer, layer).run(kept)
+    analysis(viewer, layer).run(cache)
     layer.data = np.flip(layer.data, axis=0)
-    analysis(viewer, layer).run(kept)
+    analysis(viewer, layer).run(cache)
     assert len(method.estimations) == 3
 
 
 def test_settings_reach_the_method(viewer, layer, method):
     analysis(
         viewer, layer, threshold=1.2, max_radius=5.0, noise_variance=2e-5, color_sigma=0.3
-    ).run(KeptWork())
+    ).run(JobCache())
     [estimation] = method.estimations
     assert estimation["psf"].max_radius == 5.0
     assert estimation["noise_variance"] == 2e-5
@@ -99,7 +99,7 @@ def test_settings_reach_the_method(viewer, layer, method):
 
 
 def test_lens_light_and_noise_reach_the_method(viewer, layer, method):
-    analysis(viewer, layer, psf="polygon:5", linearize="srgb", shot_noise=True).run(KeptWork())
+    analysis(viewer, layer, psf="polygon:5", linearize="srgb", shot_noise=True).run(JobCache())
     [estimation] = method.estimations
     assert estimation["psf"] == Polygon(5)
     assert estimation["linearize"] == method.noises[0]["linearize"] == "srgb"
@@ -111,7 +111,7 @@ def test_confidence_comes_with_the_map_if_it_is_wanted(viewer, layer, method, co
     wanted = Analysis(
         plane=shown_plane(layer, viewer.dims), estimation=MapSettings(), confidence=confidence
     )
-    layers = wanted.run(KeptWork())
+    layers = wanted.run(JobCache())
     assert [keywords["name"] for _, keywords, _ in layers] == ["leaf blur (px)", *names]
 
 
@@ -137,7 +137,7 @@ def test_comparison_has_the_lens_of_the_form_too_and_the_right_one_first(viewer,
 def test_what_is_measured_does_not_depend_on_contrast_limits(viewer, method):
     data = np.random.default_rng(0).integers(0, 4096, (32, 48)).astype(np.uint16)
     layer = viewer.add_image(data, contrast_limits=(0, 4095))
-    analysis(viewer, layer, threshold=2.0).run(KeptWork())
+    analysis(viewer, layer, threshold=2.0).run(JobCache())
     for call in (method.estimations[0], method.labelings[0], method.segmentations[0]):
         assert call.get("intensity_range") is None
 
@@ -153,10 +153,10 @@ def test_large_pictures_are_worked_on_in_another_process_with_the_same_result(vi
         return run_elsewhere(function, *args, **keywords)
 
     monkeypatch.setattr(estimation, "run_elsewhere", spy)
-    here = analysis(viewer, layer, threshold=2.0).run(KeptWork())
+    here = analysis(viewer, layer, threshold=2.0).run(JobCache())
     assert not elsewhere
     monkeypatch.setattr(estimation, "LARGE", picture[..., 0].size - 1)
-    there = analysis(viewer, layer, threshold=2.0).run(KeptWork())
+    there = analysis(viewer, layer, threshold=2.0).run(JobCache())
     assert elsewhere == {
         *("compile_kernels", "estimate_candidates"),
         *("blur_map_of_scene", "confidence_of_scene", "mask_of_scene"),
@@ -170,7 +170,7 @@ def test_large_pictures_are_worked_on_in_another_process_with_the_same_result(vi
 
 def test_progress_rises_from_0_to_1(viewer, layer, method):
     seen = []
-    analysis(viewer, layer, threshold=2.0).run(KeptWork(), lambda step, done: seen.append(done))
+    analysis(viewer, layer, threshold=2.0).run(JobCache(), lambda step, done: seen.append(done))
     assert seen == sorted(seen)
     assert 0.0 <= seen[0] <= seen[-1] <= 1.0
 
@@ -180,7 +180,7 @@ def test_floats_of_any_range_are_measured_as_in_a_script_whatever_the_contrast_l
 ):
     image = (255.5 * texture).astype(np.float32)
     layer = viewer.add_image(image, contrast_limits=(40, 41))
-    blur_map, confidence, mask = analysis(viewer, layer, threshold=2.0).run(KeptWork())
+    blur_map, confidence, mask = analysis(viewer, layer, threshold=2.0).run(JobCache())
     candidates = estimate_candidates(image)
     expected = label_blur_map(candidates, image)
     np.testing.assert_array_equal(blur_map[0], expected)

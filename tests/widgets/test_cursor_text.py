@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
-from napari_defocus.widgets.display.cursor_text import tell_under_cursor, text_under_cursor
+from napari_defocus.widgets.display.add_results import add_results
+from napari_defocus.widgets.display.cursor_text import show_under_cursor, text_under_cursor
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
@@ -45,7 +45,7 @@ def moved_to(viewer, *position):
 
 
 def test_status_tells_blur_confidence_and_focus_on_the_picture_and_on_its_results(viewer, leaf):
-    layers = show_results(viewer, results_on(leaf, viewer, cover=0.5))
+    layers = add_results(viewer, results_on(leaf, viewer, cover=0.5))
     for layer in layers:
         viewer.layers.selection.active = layer
         coordinates = layer.get_status((10.0, 20.0), world=True)["coords"]
@@ -56,7 +56,7 @@ def test_status_tells_blur_confidence_and_focus_on_the_picture_and_on_its_result
 
 
 def test_nothing_is_told_that_is_not_known(viewer, leaf, texture):
-    layers = show_results(viewer, results_on(leaf, viewer, mask=0))
+    layers = add_results(viewer, results_on(leaf, viewer, mask=0))
     viewer.layers.selection.active = leaf
     for layer, told in (
         (None, "3.2 px, confidence 0.94, blurred"),
@@ -68,13 +68,13 @@ def test_nothing_is_told_that_is_not_known(viewer, leaf, texture):
             viewer.layers.remove(layer)
         assert text_under_cursor(viewer) == told
     other = viewer.add_image(texture, name="other")
-    show_results(viewer, results_on(leaf, viewer))
+    add_results(viewer, results_on(leaf, viewer))
     viewer.layers.selection.active = other
     assert text_under_cursor(viewer) == ""
 
 
 def test_nothing_is_told_beside_the_picture_and_without_a_value(viewer, leaf):
-    blur_map, *_ = show_results(viewer, results_on(leaf, viewer, mask=None))
+    blur_map, *_ = add_results(viewer, results_on(leaf, viewer, mask=None))
     blur_map.data[4, 6] = np.nan
     assert "px" not in moved_to(viewer, 2, 3)
     assert "3.2 px" in moved_to(viewer, 2, 4)
@@ -85,27 +85,27 @@ def test_nothing_is_told_beside_the_picture_and_without_a_value(viewer, leaf):
 
 
 def test_low_confidence_is_not_trusted(viewer, leaf):
-    show_results(viewer, results_on(leaf, viewer, sure=0.31))
+    add_results(viewer, results_on(leaf, viewer, sure=0.31))
     assert moved_to(viewer, 3, 4).endswith("3.2 px, confidence 0.31 (not trusted), in focus")
 
 
 @pytest.mark.parametrize(("cover", "trusted"), [(0.25, True), (0.4, False), (0.0, False)])
 def test_what_is_trusted_is_what_the_cover_leaves_open(viewer, leaf, cover, trusted):
-    show_results(viewer, results_on(leaf, viewer, sure=0.31, cover=cover))
+    add_results(viewer, results_on(leaf, viewer, sure=0.31, cover=cover))
     assert ("not trusted" not in moved_to(viewer, 3, 4)) == trusted
 
 
 def test_values_are_those_that_the_layers_hold_now(viewer, leaf):
-    blur_map, *_ = show_results(viewer, results_on(leaf, viewer))
+    blur_map, *_ = add_results(viewer, results_on(leaf, viewer))
     blur_map.data = np.full_like(blur_map.data, 5.0)
     assert "5.0 px" in moved_to(viewer, 3, 4)
-    show_results(viewer, results_on(leaf, viewer, radius=1.5))
+    add_results(viewer, results_on(leaf, viewer, radius=1.5))
     assert "1.5 px" in moved_to(viewer, 3, 5)
 
 
 def test_each_of_several_results_tells_its_own_run_and_the_picture_the_newest(viewer, leaf):
-    old = show_results(viewer, results_on(leaf, viewer, smoothness=20.0))
-    new = show_results(
+    old = add_results(viewer, results_on(leaf, viewer, smoothness=20.0))
+    new = add_results(
         viewer,
         results_on(leaf, viewer, radius=1, sure=0.7, mask=0, smoothness=30.0),
         keep_earlier=True,
@@ -120,9 +120,9 @@ def test_each_of_several_results_tells_its_own_run_and_the_picture_the_newest(vi
 
 
 def test_confidence_of_another_map_is_not_told(viewer, leaf):
-    show_results(viewer, results_on(leaf, viewer))
+    add_results(viewer, results_on(leaf, viewer))
     another, *_ = results_on(leaf, viewer, radius=2.0, psf="gaussian")
-    show_results(viewer, [another])
+    add_results(viewer, [another])
     assert text_under_cursor(viewer) == "standard deviation 2.0 px, in focus"
 
 
@@ -131,7 +131,7 @@ def test_of_a_stack_only_the_plane_with_results_has_numbers(viewer):
     for plane, radius in ((1, 2.0), (3, 4.0)):
         viewer.dims.set_current_step(0, plane)
         results = results_on(stack, viewer, radius=radius, smoothness=10.0 * plane)
-        show_results(viewer, results, keep_earlier=True)
+        add_results(viewer, results, keep_earlier=True)
     viewer.layers.selection.active = stack
     for plane, told in ((1, "2.0 px, confidence 0.94, in focus"), (3, "4.0 px"), (2, "")):
         viewer.cursor.position = 4 * plane, 10, 10
@@ -156,7 +156,7 @@ def test_map_of_a_crop_at_another_scale_is_read_where_the_cursor_is(viewer, leaf
 
 
 def test_tooltip_tells_the_same_where_tooltips_are_shown(viewer, leaf):
-    show_results(viewer, results_on(leaf, viewer))
+    add_results(viewer, results_on(leaf, viewer))
     viewer.layers.selection.active = leaf
     moved_to(viewer, 3, 4)
     assert viewer.tooltip.text == ""
@@ -169,7 +169,7 @@ def test_tooltip_tells_the_same_where_tooltips_are_shown(viewer, leaf):
 
 
 def test_features_of_a_labels_layer_stay_in_its_tooltip(viewer, leaf):
-    *_, mask = show_results(viewer, results_on(leaf, viewer))
+    *_, mask = add_results(viewer, results_on(leaf, viewer))
     mask.features = {"index": [1], "name": ["sharp"]}
     viewer.tooltip.visible = True
     viewer.layers.selection.active = mask
@@ -180,7 +180,7 @@ def test_features_of_a_labels_layer_stay_in_its_tooltip(viewer, leaf):
 
 
 def test_several_selected_layers_get_one_text(viewer, leaf):
-    blur_map, *_ = show_results(viewer, results_on(leaf, viewer))
+    blur_map, *_ = add_results(viewer, results_on(leaf, viewer))
     viewer.layers.selection = {leaf, blur_map}
     viewer.mouse_over_canvas = True
     viewer.cursor.position = 3, 4
@@ -190,7 +190,7 @@ def test_several_selected_layers_get_one_text(viewer, leaf):
 
 
 def test_status_of_somebody_else_is_left_alone(viewer, leaf):
-    show_results(viewer, results_on(leaf, viewer))
+    add_results(viewer, results_on(leaf, viewer))
     viewer.cursor.position = 3, 4
     for status in ("Ready", "Saved leaf.tif"):
         viewer.status = status
@@ -204,8 +204,8 @@ def test_viewer_is_told_once_and_nothing_holds_on_to_layers(viewer, texture):
     def shown():
         layer = viewer.add_image(texture, name="leaf")
         for _ in range(3):
-            layers = show_results(viewer, results_on(layer, viewer))
-            tell_under_cursor(viewer)
+            layers = add_results(viewer, results_on(layer, viewer))
+            show_under_cursor(viewer)
         moved_to(viewer, 3, 4)
         return [weakref.ref(found) for found in (layer, *layers)]
 
@@ -219,7 +219,7 @@ def test_viewer_is_told_once_and_nothing_holds_on_to_layers(viewer, texture):
 
 
 def test_results_are_layers_like_all_others(viewer, leaf):
-    for layer in show_results(viewer, results_on(leaf, viewer)):
+    for layer in add_results(viewer, results_on(leaf, viewer)):
         own = [name for name in vars(layer) if callable(getattr(type(layer), name, None))]
         assert own == [], "no method of this layer is another one than of its class"
 
@@ -230,7 +230,7 @@ def test_status_bar_of_a_window_says_it(make_napari_viewer, texture):
 
     window = make_napari_viewer()
     layer = window.add_image(texture, name="leaf")
-    show_results(window, results_on(layer, window))
+    add_results(window, results_on(layer, window))
     window.mouse_over_canvas = True
     window.cursor.position = 3, 4
     told = "3.2 px, confidence 0.94, in focus"
@@ -242,5 +242,5 @@ def test_status_bar_of_a_window_says_it(make_napari_viewer, texture):
 @pytest.mark.display
 def test_viewer_that_is_lent_to_a_plugin_tells_it_too(window, texture):
     layer = window.add_image(texture, name="leaf")
-    show_results(window, results_on(layer, window))
+    add_results(window, results_on(layer, window))
     assert moved_to(window, 3, 4).endswith("3.2 px, confidence 0.94, in focus")

@@ -7,9 +7,9 @@ from napari.layers import Surface
 
 from napari_defocus import ThinLens, blur_from_depth, depth_from_blur
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.display.add_results import show_results
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.jobs.distances import Distances
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.map_source import EstimatedSource, source_of_layer
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
@@ -47,8 +47,8 @@ def distances(viewer, layer, blur_map=None, psf="disc", lens=LENS, **options):
 
 
 def shown(viewer, wanted):
-    results = wanted.run(KeptWork())
-    return show_results(viewer, results.layers), results.summary
+    results = wanted.run(JobCache())
+    return add_results(viewer, results.layers), results.summary
 
 
 @pytest.mark.parametrize("side", ["far", "near"])
@@ -122,8 +122,8 @@ def test_nothing_known_is_said_in_plain_words(viewer, leaf):
     confidence = shown_plane(unsure, viewer.dims)
     wanted = replace(wanted, source=replace(wanted.source, confidence=confidence))
     with pytest.raises(ValueError, match=r"no pixel has a confidence of 0\.5 or more"):
-        wanted.run(KeptWork())
-    assert replace(wanted, min_confidence=0.0).run(KeptWork())
+        wanted.run(JobCache())
+    assert replace(wanted, min_confidence=0.0).run(JobCache())
 
 
 def test_nothing_lies_behind_infinity(viewer, leaf, method):

@@ -8,11 +8,11 @@ from matplotlib.backend_bases import MouseEvent
 from qtpy.QtWidgets import QFileDialog
 
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.docks.focus_curve import NO_STACK, FocusCurveWidget
 from napari_defocus.widgets.forms.planes_field import PlanesField
 from napari_defocus.widgets.forms.region_field import RegionField
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis
 from napari_defocus.widgets.layers.image_layers import shown_plane
 
@@ -79,7 +79,7 @@ def analysed(viewer, layer):
         estimation=MapSettings(),
         mask=MaskSettings(threshold=3.0),
     )
-    return show_results(viewer, wanted.run(KeptWork()).layers)
+    return add_results(viewer, wanted.run(JobCache()).layers)
 
 
 def test_share_in_focus_and_median_radius_are_drawn_over_the_planes(viewer, drawn):

@@ -17,7 +17,7 @@ from napari_defocus.core.intensity import Intensities
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr import read_ome_zarr
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.display.cursor_text import text_under_cursor
 from napari_defocus.widgets.display.probing import NothingKnownError, probed
 from napari_defocus.widgets.display.region_table import add_regions
@@ -28,7 +28,7 @@ from napari_defocus.widgets.export.stores import NotAMapError, write_store
 from napari_defocus.widgets.jobs import large_analysis, stack_analysis
 from napari_defocus.widgets.jobs import tiled_job as stored_parts
 from napari_defocus.widgets.jobs.analysis import Analysis
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.large_analysis import LargeAnalysis, is_large
 from napari_defocus.widgets.jobs.map_source import source_of_layer
 from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis
@@ -85,15 +85,15 @@ def in_memory(picture):
     analysis = Analysis(
         plane=shown_plane(layer, viewer.dims), estimation=SETTINGS, mask=MaskSettings()
     )
-    return [data for data, _, _ in analysis.run(KeptWork())]
+    return [data for data, _, _ in analysis.run(JobCache())]
 
 
 def test_results_are_lazy_lie_on_the_picture_and_are_those_of_the_whole(
     viewer, picture, in_memory, tmp_path
 ):
     layer = viewer.add_image(da.from_array(picture, chunks=100), name="slide", **PLACED)
-    found = wanted(layer, viewer, place=Place(tmp_path)).run(KeptWork())
-    results = show_results(viewer, found.layers)
+    found = wanted(layer, viewer, place=Place(tmp_path)).run(JobCache())
+    results = add_results(viewer, found.layers)
     assert [result.name for result in results] == [
         "slide blur (px)",
         "slide confidence",
@@ -115,11 +115,11 @@ def test_results_are_lazy_lie_on_the_picture_and_are_those_of_the_whole(
         "slide confidence.ome.zarr",
         "slide in focus.ome.zarr",
     ]
-    kept = read_ome_zarr(tmp_path / "slide blur (px).ome.zarr")
-    assert kept.units == {"y": "micrometer", "x": "micrometer"}
-    assert kept.scale == {"y": 0.5, "x": 0.25}
-    assert kept.attributes["settings"]["noise_variance"] == 1e-5
-    assert f"Kept in {tmp_path}" in found.summary
+    stored = read_ome_zarr(tmp_path / "slide blur (px).ome.zarr")
+    assert stored.units == {"y": "micrometer", "x": "micrometer"}
+    assert stored.scale == {"y": 0.5, "x": 0.25}
+    assert stored.attributes["settings"]["noise_variance"] == 1e-5
+    assert f"LayerCache in {tmp_path}" in found.summary
 
 
 @pytest.fixture
@@ -145,10 +145,10 @@ def quick(method, monkeypatch):
 
 def test_new_results_take_the_place_of_the_old_ones_whose_files_go(viewer, quick):
     layer = viewer.add_image(np.zeros((40, 50), np.uint8), name="slide")
-    first = show_results(viewer, wanted(layer, viewer).run(KeptWork()).layers)
+    first = add_results(viewer, wanted(layer, viewer).run(JobCache()).layers)
     before = [Path(result.metadata[METADATA_KEY][STORE]["path"]) for result in first]
     assert all(path.is_dir() for path in before)
-    again = show_results(viewer, wanted(layer, viewer).run(KeptWork()).layers)
+    again = add_results(viewer, wanted(layer, viewer).run(JobCache()).layers)
     assert again == first
     after = [Path(result.metadata[METADATA_KEY][STORE]["path"]) for result in again]
     gc.collect()
@@ -161,7 +161,7 @@ def test_nothing_in_a_folder_of_the_user_is_replaced_or_removed(viewer, quick, t
     layer = viewer.add_image(np.zeros((40, 50), np.uint8), name="a/b")
     for _ in range(2):
         found = wanted(layer, viewer, mask=None, confidence=False, place=Place(tmp_path))
-        show_results(viewer, found.run(KeptWork()).layers)
+        add_results(viewer, found.run(JobCache()).layers)
     gc.collect()
     assert stores_in(tmp_path) == ["a-b blur (px) 2.ome.zarr", "a-b blur (px).ome.zarr"]
 
@@ -174,7 +174,7 @@ def test_cancelled_work_leaves_nothing(viewer, picture, tmp_path):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        wanted(layer, viewer, place=Place(tmp_path)).run(KeptWork(), stop)
+        wanted(layer, viewer, place=Place(tmp_path)).run(JobCache(), stop)
     assert not list(tmp_path.iterdir())
 
 
@@ -189,7 +189,7 @@ def test_shapes_and_seeds_of_a_large_picture_count(viewer, picture):
     )
     found = LargeAnalysis(
         plane=plane, estimation=SETTINGS, mask=MaskSettings(), seeds=viewer.add_labels(seeds)
-    ).run(KeptWork())
+    ).run(JobCache())
     blur_map, confidence, mask = (np.asarray(data[0]) for data, _, _ in found.layers)
     assert mask[60:70, 500:510].all()
     assert not mask[~inside].any()
@@ -202,8 +202,8 @@ def test_all_planes_of_a_stack_lie_on_it_whatever_the_order_of_its_axes(viewer, 
         np.zeros((40, 3, 50, 2), np.uint8), scale=(1, 5, 2, 3), axis_labels=("y", "t", "x", "z")
     )
     viewer.dims.order = (1, 3, 0, 2)
-    found = wanted(layer, viewer, all_planes=True, place=Place(tmp_path)).run(KeptWork())
-    for result in show_results(viewer, found.layers):
+    found = wanted(layer, viewer, all_planes=True, place=Place(tmp_path)).run(JobCache())
+    for result in add_results(viewer, found.layers):
         assert result.data.shape == (40, 3, 50, 2)
         assert tuple(result.scale) == (1, 5, 2, 3)
         assert result.metadata[METADATA_KEY]["planes"]["axes"] == [1, 3]
@@ -226,8 +226,8 @@ def test_results_of_a_stack_that_do_not_fit_into_memory_are_kept_on_the_disk(
         mask=MaskSettings(),
         place=Place(tmp_path),
     )
-    found = analysis.run(KeptWork())
-    blur_map, confidence, mask = show_results(viewer, found.layers)
+    found = analysis.run(JobCache())
+    blur_map, confidence, mask = add_results(viewer, found.layers)
     assert isinstance(blur_map.data, da.Array)
     assert tuple(blur_map.scale) == (5, 1, 2)
     values = np.asarray(blur_map.data)
@@ -237,8 +237,8 @@ def test_results_of_a_stack_that_do_not_fit_into_memory_are_kept_on_the_disk(
     assert mask.data.dtype == np.uint8
     assert "Confidence 0.5 or more on 50%" in found.summary
     assert "Not analysed: plane 3" in found.summary
-    one = Analysis(plane=analysis.plane, estimation=MapSettings()).run(KeptWork())
-    assert [each.name for each in show_results(viewer, one)] == [
+    one = Analysis(plane=analysis.plane, estimation=MapSettings()).run(JobCache())
+    assert [each.name for each in add_results(viewer, one)] == [
         "sweep blur (px) 2",
         "sweep confidence 2",
     ]
@@ -257,7 +257,7 @@ def test_cancelled_stack_leaves_nothing(viewer, method, monkeypatch, tmp_path):
         plane=shown_plane(layer, viewer.dims), estimation=MapSettings(), place=Place(tmp_path)
     )
     with pytest.raises(Cancelled):
-        analysis.run(KeptWork(), stop)
+        analysis.run(JobCache(), stop)
     assert not list(tmp_path.iterdir())
 
 
@@ -287,8 +287,8 @@ def test_time_left_is_told_in_words():
 def large(viewer, quick):
     """Results of a picture, whose map is kept on the disk."""
     layer = viewer.add_image(np.zeros((600, 700), np.uint8), name="slide", scale=(0.5, 0.5))
-    found = wanted(layer, viewer).run(KeptWork())
-    return layer, *show_results(viewer, found.layers)
+    found = wanted(layer, viewer).run(JobCache())
+    return layer, *add_results(viewer, found.layers)
 
 
 def test_text_under_the_cursor_reads_no_more_than_a_chunk(viewer, large):
@@ -306,7 +306,7 @@ def test_veil_follows_the_confidence_without_reading_it(viewer, large):
     _, _, confidence, _ = large
     for least, share in ((0.5, 0), (1.5, 1)):
         cover = not_trusted_layer(confidence.as_layer_data_tuple(), least)
-        [veil] = show_results(viewer, [cover])
+        [veil] = add_results(viewer, [cover])
         assert isinstance(veil.data[0], da.Array)
         assert np.asarray(veil.data[0]).mean() == share
     assert STORE not in veil.metadata[METADATA_KEY]
@@ -314,7 +314,7 @@ def test_veil_follows_the_confidence_without_reading_it(viewer, large):
 
 def test_probe_says_that_nothing_was_kept(viewer, large):
     with pytest.raises(NothingKnownError, match="measured part by part"):
-        probed(viewer, large[0], (10, 10), KeptWork())
+        probed(viewer, large[0], (10, 10), JobCache())
 
 
 def test_table_of_regions_is_measured_or_refused_in_words(viewer, large, monkeypatch, messages):
@@ -396,7 +396,7 @@ def test_form_asks_where_to_keep_only_what_is_large(
     assert viewer.layers["slide not trusted"].multiscale
     widget.keep_in.value = tmp_path
     finish(widget)
-    assert f"Kept in {tmp_path}" in widget.status.value
+    assert f"LayerCache in {tmp_path}" in widget.status.value
     assert len(stores_in(tmp_path)) == 3
     assert [layer.name for layer in viewer.layers][2:] == [
         "slide blur (px)",
@@ -469,11 +469,11 @@ def test_lazy_layers_are_read_at_the_plane_and_the_part_that_are_analysed(viewer
     viewer.dims.set_current_step(0, 3)
     plane = shown_plane(layer, viewer.dims)
     counted.read.clear()
-    Analysis(plane=plane.part(slice(0, 30), slice(50, 90)), estimation=SETTINGS).run(KeptWork())
+    Analysis(plane=plane.part(slice(0, 30), slice(50, 90)), estimation=SETTINGS).run(JobCache())
     np.testing.assert_array_equal(method.estimations[0]["image"], values[3, :30, 50:90])
     if kind != "zarr":
         assert len(counted.read) == 1
-    found = StackAnalysis(plane=plane, estimation=SETTINGS).run(KeptWork())
+    found = StackAnalysis(plane=plane, estimation=SETTINGS).run(JobCache())
     assert found.layers[0][0].shape == (5, 64, 96)
     np.testing.assert_array_equal(method.estimations[-1]["image"], values[4])
     assert len(counted.read) in (0, 1 + 5 * 4)

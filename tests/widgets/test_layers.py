@@ -6,7 +6,7 @@ from napari.layers import Image, Labels
 
 from napari_defocus import __version__
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.layers import image_layers as layers
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
 from napari_defocus.widgets.layers.result_layers import (
@@ -60,7 +60,7 @@ def corners_in_world(layer):
 
 def test_results_lie_exactly_on_the_picture(viewer, texture):
     picture = viewer.add_image(texture, name="leaf", **PLACED)
-    blur_map, mask = show_results(viewer, results_of(plane_of(picture, viewer)))
+    blur_map, mask = add_results(viewer, results_of(plane_of(picture, viewer)))
     for layer in (blur_map, mask):
         np.testing.assert_allclose(layer.scale, picture.scale)
         np.testing.assert_allclose(layer.affine.affine_matrix, picture.affine.affine_matrix)
@@ -71,7 +71,7 @@ def test_results_lie_exactly_on_the_picture(viewer, texture):
 
 def test_blur_map_has_one_colour_range_and_a_colour_bar(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
-    blur_map, _ = show_results(viewer, results_of(plane, radius=2.5, max_radius=6.0))
+    blur_map, _ = add_results(viewer, results_of(plane, radius=2.5, max_radius=6.0))
     assert isinstance(blur_map, Image)
     assert blur_map.name == "leaf blur (px)"
     assert tuple(blur_map.contrast_limits) == (0.0, 6.0)
@@ -91,7 +91,7 @@ def test_blur_map_says_what_its_lens_measures(viewer, texture, psf, name, larges
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
     settings = MapSettings(psf=psf, max_radius=6.0)
     blur_map = blur_map_layer(plane, np.ones(texture.shape), settings, 3e-5)
-    [layer] = show_results(viewer, [blur_map])
+    [layer] = add_results(viewer, [blur_map])
     assert layer.name == name
     assert tuple(layer.contrast_limits) == (0.0, largest)
     assert layer.metadata[METADATA_KEY]["scale"] == settings.family().scale_name
@@ -101,7 +101,7 @@ def test_map_of_another_lens_takes_the_place_of_the_map(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
     for psf in ("disc", "annulus:0.5"):
         layer = blur_map_layer(plane, np.ones(texture.shape), MapSettings(psf=psf), 3e-5)
-        show_results(viewer, [layer])
+        add_results(viewer, [layer])
     assert [layer.name for layer in viewer.layers] == ["leaf", "leaf blur (px)"]
     assert viewer.layers[1].metadata[METADATA_KEY]["settings"]["psf"] == "annulus:0.5"
 
@@ -110,7 +110,7 @@ def test_confidence_and_what_is_not_trusted_lie_on_the_picture(viewer, texture):
     picture = viewer.add_image(texture, name="leaf", **PLACED)
     values = np.linspace(0, 1, texture.size, dtype=np.float32).reshape(texture.shape)
     result = confidence_layer(plane_of(picture, viewer), values, MapSettings(), 3e-5)
-    confidence, cover = show_results(viewer, [result, not_trusted_layer(result, 0.25)])
+    confidence, cover = add_results(viewer, [result, not_trusted_layer(result, 0.25)])
     assert (confidence.name, cover.name) == ("leaf confidence", "leaf not trusted")
     for layer in (confidence, cover):
         np.testing.assert_allclose(corners_in_world(layer), corners_in_world(picture))
@@ -126,15 +126,15 @@ def test_confidence_and_what_is_not_trusted_lie_on_the_picture(viewer, texture):
     assert color[0, 3] == 0
     assert np.ptp(color[1, :3]) == 0, "grey"
     again = not_trusted_layer(confidence.as_layer_data_tuple(), 0.5)
-    assert show_results(viewer, [again]) == [cover]
+    assert add_results(viewer, [again]) == [cover]
     np.testing.assert_array_equal(cover.data, values < 0.5)
 
 
 def test_map_is_read_through_what_covers_it_and_no_other_blur_is_read(viewer, texture):
     plane = plane_of(viewer.add_image(texture), viewer)
-    blur_map, _ = show_results(viewer, results_of(plane))
+    blur_map, _ = add_results(viewer, results_of(plane))
     result = confidence_layer(plane, texture, MapSettings(), 3e-5)
-    [cover] = show_results(viewer, [not_trusted_layer(result, 0.5)])
+    [cover] = add_results(viewer, [not_trusted_layer(result, 0.5)])
     blur = blur_map.colormap.map(np.linspace(0, 1, 81))[:, :3]
     veil = cover.colormap.map(np.array([1]))[0, :3]
     seen = (1 - cover.opacity) * blur + cover.opacity * veil
@@ -146,7 +146,7 @@ def test_map_is_read_through_what_covers_it_and_no_other_blur_is_read(viewer, te
 
 def test_results_are_no_pictures_to_analyse(viewer, texture):
     picture = viewer.add_image(texture, name="leaf")
-    results = show_results(viewer, results_of(plane_of(picture, viewer)))
+    results = add_results(viewer, results_of(plane_of(picture, viewer)))
     assert made_by_us(picture) is None
     assert [made_by_us(layer) for layer in results] == ["blur map", "in focus"]
     picture.metadata["napari_defocus"] = "somebody's note"
@@ -155,7 +155,7 @@ def test_results_are_no_pictures_to_analyse(viewer, texture):
 
 def test_mask_colours_what_is_in_focus_and_nothing_else(viewer, texture):
     _, result = results_of(plane_of(viewer.add_image(texture), viewer))
-    [mask] = show_results(viewer, [result])
+    [mask] = add_results(viewer, [result])
     assert isinstance(mask, Labels)
     np.testing.assert_array_equal(mask.colormap.map(np.array([0, 1]))[:, 3], [0, 1])
     assert 0.2 <= mask.opacity <= 0.6
@@ -163,14 +163,14 @@ def test_mask_colours_what_is_in_focus_and_nothing_else(viewer, texture):
 
 
 def test_mask_on_a_map_is_an_outline(viewer, texture):
-    _, mask = show_results(viewer, results_of(plane_of(viewer.add_image(texture), viewer)))
+    _, mask = add_results(viewer, results_of(plane_of(viewer.add_image(texture), viewer)))
     assert mask.contour > 0
     assert mask.opacity == 1
 
 
 def test_results_say_how_they_were_made(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
-    blur_map, mask = show_results(viewer, results_of(plane, threshold=1.5))
+    blur_map, mask = add_results(viewer, results_of(plane, threshold=1.5))
     made = blur_map.metadata[METADATA_KEY]
     assert made["source"] == "leaf"
     assert made["version"] == __version__
@@ -182,10 +182,10 @@ def test_results_say_how_they_were_made(viewer, texture):
 
 def test_second_run_updates_the_layers_and_keeps_the_users_colours(viewer, texture):
     picture = viewer.add_image(texture, name="leaf", scale=(2, 2))
-    first = show_results(viewer, results_of(plane_of(picture, viewer)))
+    first = add_results(viewer, results_of(plane_of(picture, viewer)))
     first[0].colormap, first[1].opacity = "magma", 0.9
     picture.scale = (3, 3)
-    second = show_results(viewer, results_of(plane_of(picture, viewer), radius=4, max_radius=12))
+    second = add_results(viewer, results_of(plane_of(picture, viewer), radius=4, max_radius=12))
     assert second == first
     assert len(viewer.layers) == 3
     assert (first[0].data == 4).all()
@@ -198,7 +198,7 @@ def test_second_run_updates_the_layers_and_keeps_the_users_colours(viewer, textu
 def test_layer_of_somebody_else_is_never_overwritten(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
     theirs = viewer.add_image(np.zeros((5, 5)), name="leaf blur (px)")
-    show_results(viewer, results_of(plane))
+    add_results(viewer, results_of(plane))
     assert theirs.data.shape == (5, 5)
     assert len(viewer.layers) == 4
 
@@ -206,7 +206,7 @@ def test_layer_of_somebody_else_is_never_overwritten(viewer, texture):
 def test_somebody_elses_layer_leads_to_one_new_layer_and_not_to_one_a_run(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
     viewer.add_image(np.zeros((5, 5)), name="leaf blur (px)")
-    first, second = (show_results(viewer, results_of(plane)) for _ in range(2))
+    first, second = (add_results(viewer, results_of(plane)) for _ in range(2))
     assert first == second
     assert first[0].name == "leaf blur (px) 2"
 
@@ -218,7 +218,7 @@ def names(viewer):
 def test_earlier_results_stay_beside_the_new_ones_if_that_is_wanted(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
     for radius in (1, 2, 3):
-        show_results(viewer, results_of(plane, radius=radius), keep_earlier=True)
+        add_results(viewer, results_of(plane, radius=radius), keep_earlier=True)
     assert names(viewer) == [
         "leaf",
         *("leaf blur (px)", "leaf in focus"),
@@ -232,17 +232,17 @@ def test_earlier_results_stay_beside_the_new_ones_if_that_is_wanted(viewer, text
 def test_what_one_run_has_made_has_one_number(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
     blur_map, mask = results_of(plane)
-    show_results(viewer, [blur_map], keep_earlier=True)
-    show_results(viewer, [blur_map, mask], keep_earlier=True)
+    add_results(viewer, [blur_map], keep_earlier=True)
+    add_results(viewer, [blur_map, mask], keep_earlier=True)
     assert names(viewer) == ["leaf", "leaf blur (px)", "leaf blur (px) 2", "leaf in focus 2"]
 
 
 def test_next_run_updates_the_newest_of_several_results(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
-    old, _ = show_results(viewer, results_of(plane, radius=1))
-    new, _ = show_results(viewer, results_of(plane, radius=2), keep_earlier=True)
+    old, _ = add_results(viewer, results_of(plane, radius=1))
+    new, _ = add_results(viewer, results_of(plane, radius=2), keep_earlier=True)
     viewer.layers.move(viewer.layers.index(new), 0)
-    updated, _ = show_results(viewer, results_of(plane, radius=3))
+    updated, _ = add_results(viewer, results_of(plane, radius=3))
     assert updated is new
     assert (new.name, float(new.data.max())) == ("leaf blur (px) 2", 3)
     assert (old.name, float(old.data.max())) == ("leaf blur (px)", 1)
@@ -251,8 +251,8 @@ def test_next_run_updates_the_newest_of_several_results(viewer, texture):
 @pytest.mark.parametrize("renamed", [False, True])
 def test_newest_result_is_found_wherever_it_stands_and_whatever_its_name(viewer, texture, renamed):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
-    show_results(viewer, results_of(plane))
-    new, _ = show_results(viewer, results_of(plane), keep_earlier=True)
+    add_results(viewer, results_of(plane))
+    new, _ = add_results(viewer, results_of(plane), keep_earlier=True)
     viewer.layers.move(viewer.layers.index(new), 0)
     if renamed:
         new.name = "the best one"
@@ -261,7 +261,7 @@ def test_newest_result_is_found_wherever_it_stands_and_whatever_its_name(viewer,
 
 def test_duplicate_of_a_result_is_not_taken_for_a_newer_one(viewer, texture):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
-    blur_map, _ = show_results(viewer, results_of(plane))
+    blur_map, _ = add_results(viewer, results_of(plane))
     data, keywords, kind = blur_map.as_layer_data_tuple()
     viewer.add_layer(Image.create(data, {**keywords, "name": "leaf blur (px) copy"}, kind))
     assert layer_of_result(viewer.layers, BLUR_MAP, "leaf") is blur_map
@@ -281,7 +281,7 @@ def test_of_a_stack_the_plane_that_is_shown(viewer, order, rotate):
     viewer.dims.set_point(sliced, layer.data_to_world((3, 3, 3))[sliced])
     plane = plane_of(layer, viewer)
     np.testing.assert_array_equal(plane.read(), stack.take(3, axis=sliced))
-    for result in show_results(viewer, results_of(plane)):
+    for result in add_results(viewer, results_of(plane)):
         assert result.data.shape == tuple(np.where(np.arange(3) == sliced, 1, stack.shape))
         for corner in np.ndindex(2, 2, 2):
             on_stack = np.where(np.arange(3) == sliced, 3 + np.array(corner), corner)
@@ -291,9 +291,9 @@ def test_of_a_stack_the_plane_that_is_shown(viewer, order, rotate):
 def test_next_plane_of_a_stack_moves_the_results(viewer):
     layer = viewer.add_image(np.random.default_rng(0).random((7, 32, 48)), scale=(5, 1, 1))
     viewer.dims.set_current_step(0, 2)
-    show_results(viewer, results_of(plane_of(layer, viewer)))
+    add_results(viewer, results_of(plane_of(layer, viewer)))
     viewer.dims.set_current_step(0, 6)
-    blur_map, _ = show_results(viewer, results_of(plane_of(layer, viewer)))
+    blur_map, _ = add_results(viewer, results_of(plane_of(layer, viewer)))
     assert len(viewer.layers) == 3
     assert blur_map.translate[0] == 30
 
@@ -325,7 +325,7 @@ def test_rgb_stack_gives_colour_planes(viewer):
     viewer.dims.set_current_step(0, 1)
     plane = plane_of(layer, viewer)
     np.testing.assert_array_equal(plane.read(), stack[1])
-    [blur_map, _] = show_results(viewer, results_of(plane))
+    [blur_map, _] = add_results(viewer, results_of(plane))
     assert blur_map.data.shape == (1, 32, 48)
 
 
@@ -334,7 +334,7 @@ def test_of_several_scales_the_finest(viewer):
     layer = viewer.add_image([fine, fine[::2, ::2]], scale=(0.5, 0.5))
     plane = plane_of(layer, viewer)
     np.testing.assert_array_equal(plane.read(), fine)
-    blur_map, _ = show_results(viewer, results_of(plane))
+    blur_map, _ = add_results(viewer, results_of(plane))
     assert blur_map.data.shape == fine.shape
     np.testing.assert_allclose(blur_map.extent.world, layer.extent.world)
 
@@ -379,11 +379,11 @@ def test_too_large_a_plane_is_refused_before_it_is_computed(viewer, monkeypatch)
 
 def test_results_follow_a_picture_that_has_become_a_stack(viewer, texture):
     picture = viewer.add_image(texture, name="leaf")
-    show_results(viewer, results_of(plane_of(picture, viewer)))
+    add_results(viewer, results_of(plane_of(picture, viewer)))
     viewer.layers.remove(picture)
     stack = viewer.add_image(np.stack([texture] * 4), name="leaf", scale=(5, 2, 2))
     viewer.dims.set_current_step(0, 3)
-    blur_map, mask = show_results(viewer, results_of(plane_of(stack, viewer)))
+    blur_map, mask = add_results(viewer, results_of(plane_of(stack, viewer)))
     assert len(viewer.layers) == 3
     for layer in (blur_map, mask):
         assert layer.data.shape == (1, *texture.shape)
@@ -409,7 +409,7 @@ def test_results_of_a_part_of_a_plane_lie_where_the_part_does(viewer, texture):
     assert part.is_part
     assert (part.shape, part.whole_shape) == ((30, 60), texture.shape)
     np.testing.assert_array_equal(part.read(), texture[10:40, 20:80])
-    for layer in show_results(viewer, results_of(part)):
+    for layer in add_results(viewer, results_of(part)):
         assert layer.data.shape == (30, 60)
         np.testing.assert_allclose(layer.data_to_world((0, 0)), picture.data_to_world((10, 20)))
         np.testing.assert_allclose(layer.data_to_world((29, 59)), picture.data_to_world((39, 79)))
@@ -430,7 +430,7 @@ def test_part_of_a_plane_of_a_stack_keeps_its_place_when_the_plane_moves(viewer,
     part = layers.plane_at(layer, tuple(index)).part(slice(4, 14), slice(8, 18))
     moved = tuple(7 if isinstance(at, int) else at for at in part.index)
     [blur_map, _] = results_of(part.at(moved))
-    [layer_of_map] = show_results(viewer, [blur_map])
+    [layer_of_map] = add_results(viewer, [blur_map])
     np.testing.assert_array_equal(part.at(moved).read(), stack[moved])
     assert layer_of_map.data.ndim == 3
     np.testing.assert_allclose(

@@ -225,7 +225,7 @@ def test_large_picture_has_a_rough_mask_first_and_then_that_of_the_function(
     mask.events.set_data.connect(lambda _: seen.append(mask.data.copy()))
     widget.settings.threshold.value = 1.0
     settled(widget)
-    candidates = ImagePanel.kept.analysed.latest(viewer.layers["stones"]).candidates
+    candidates = ImagePanel.cache.analysed.latest(viewer.layers["stones"]).candidates
     expected = segment_in_focus(candidates, stones, threshold=1.0)
     np.testing.assert_array_equal(mask.data, expected)
     assert (seen[0] == expected).mean() > 0.9

@@ -20,7 +20,7 @@ import napari_defocus
 from napari_defocus.cli.app import app
 from napari_defocus.io.encoders import blur_map_tiff
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.export.map_files import (
     PATTERNS,
     NotAMapError,
@@ -60,7 +60,7 @@ def measured(viewer, texture):
     radius = rng.uniform(0, 6, texture.shape).astype(np.float32)
     radius[:9, :9] = np.nan
     mask = (radius < 2).astype(np.uint8)
-    layers = show_results(
+    layers = add_results(
         viewer,
         [
             blur_map_layer(plane, radius, SETTINGS, 3e-5),

@@ -4,9 +4,8 @@ import pytest
 from napari_defocus import Disc, Gaussian, Polygon
 from napari_defocus.core.progress import silent
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.display.add_results import show_results
-from napari_defocus.widgets.jobs.cache import KeptWork
-from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.display.add_results import add_results
+from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.jobs.map_source import (
     EstimatedSource,
     LayerSource,
@@ -30,14 +29,14 @@ def results_on(layer, viewer, radius=2.0, confidence=0.7, **settings):
     plane, made = plane_of(layer, viewer), MapSettings(**settings)
     values = np.full(plane.shape, radius, np.float32)
     sure = np.full(plane.shape, confidence, np.float32)
-    return show_results(
+    return add_results(
         viewer,
         [blur_map_layer(plane, values, made, 3e-5), confidence_layer(plane, sure, made, 3e-5)],
     )
 
 
 def read(source, layer, viewer):
-    return source.read(Picture.of(plane_of(layer, viewer)), KeptWork(), silent)
+    return source.read(Picture.of(plane_of(layer, viewer)), JobCache(), silent)
 
 
 def source(map_layer, layer, viewer, psf="disc"):
@@ -55,19 +54,19 @@ def test_estimated_map_comes_with_its_confidence_and_their_layers_are_hidden(vie
 
 
 def test_map_is_labelled_once_for_the_same_settings(viewer, leaf, method):
-    kept, picture = KeptWork(), Picture.of(plane_of(leaf, viewer))
+    cache, picture = JobCache(), Picture.of(plane_of(leaf, viewer))
     for smoothness in (20.0, 20.0, 30.0):
-        EstimatedSource(settings=MapSettings(smoothness=smoothness)).read(picture, kept, silent)
+        EstimatedSource(settings=MapSettings(smoothness=smoothness)).read(picture, cache, silent)
     assert len(method.estimations) == 1
     assert len(method.labelings) == 2
 
 
 def test_painting_on_the_shown_map_does_not_change_what_is_kept(viewer, leaf, method):
-    kept, picture = KeptWork(), Picture.of(plane_of(leaf, viewer))
+    cache, picture = JobCache(), Picture.of(plane_of(leaf, viewer))
     estimate = EstimatedSource(settings=MapSettings())
-    for layer in show_results(viewer, estimate.read(picture, kept, silent).layers):
+    for layer in add_results(viewer, estimate.read(picture, cache, silent).layers):
         layer.data[:] = 0
-    again = estimate.read(picture, kept, silent)
+    again = estimate.read(picture, cache, silent)
     assert again.values.min() == method.radius
     assert again.confidence.max() == 1
 
@@ -174,7 +173,7 @@ def test_each_of_several_maps_has_its_own_confidence(viewer, leaf):
     first, _ = results_on(leaf, viewer, confidence=0.7, smoothness=20.0)
     plane, made = plane_of(leaf, viewer), MapSettings(smoothness=30.0)
     values = np.full(plane.shape, 0.4, np.float32)
-    second, _ = show_results(
+    second, _ = add_results(
         viewer,
         [blur_map_layer(plane, values, made, 3e-5), confidence_layer(plane, values, made, 3e-5)],
         keep_earlier=True,

@@ -6,7 +6,7 @@ import pytest
 import napari_defocus
 from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.docks.blur_map import BlurMapWidget
 from napari_defocus.widgets.docks.in_focus import InFocusWidget
 from napari_defocus.widgets.docks.map_and_mask import MapAndMaskWidget
@@ -139,7 +139,7 @@ def test_cover_is_of_the_newest_of_several_results(viewer, opened, finish, metho
     cover, sure = viewer.layers["leaf not trusted"], viewer.layers["leaf confidence"]
     data, keywords, kind = sure.as_layer_data_tuple()
     keywords["name"] = "leaf confidence"
-    show_results(viewer, [(1 - data, keywords, kind)], keep_earlier=True)
+    add_results(viewer, [(1 - data, keywords, kind)], keep_earlier=True)
     for limit in (0.25, 0.5):
         widget.settings.min_confidence.value = limit
         widget.settings.min_confidence.changed.emit(limit)
@@ -363,9 +363,9 @@ def test_removed_layer_ends_its_run_without_a_word(
 def test_deleted_layer_takes_its_candidates_with_it(window, docked, finish, method, texture, qtbot):
     window.add_image(texture, name="leaf")
     finish(docked(BlurMapWidget))
-    assert len(ImagePanel.kept.analysed) == 1
+    assert len(ImagePanel.cache.analysed) == 1
     window.layers.clear()
-    qtbot.waitUntil(lambda: collected() and len(ImagePanel.kept.analysed) == 0)
+    qtbot.waitUntil(lambda: collected() and len(ImagePanel.cache.analysed) == 0)
 
 
 def collected():

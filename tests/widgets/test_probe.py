@@ -14,7 +14,7 @@ from skimage.data import gravel
 from napari_defocus import explain_pixel, simulate_defocus
 from napari_defocus.core.progress import silent
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.display.probing import (
     NothingKnownError,
     corners_of,
@@ -28,8 +28,12 @@ from napari_defocus.widgets.display.window_outline import WindowOutline
 from napari_defocus.widgets.docks import probe
 from napari_defocus.widgets.docks.probe import INTERVAL, ProbeWidget
 from napari_defocus.widgets.forms.image_panel import ImagePanel
-from napari_defocus.widgets.jobs.cache import KeptWork
-from napari_defocus.widgets.jobs.estimation import Picture, analysed_picture, estimated_map
+from napari_defocus.widgets.jobs.estimation import (
+    JobCache,
+    Picture,
+    analysed_picture,
+    estimated_map,
+)
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_layers import blur_map_layer
 
@@ -43,14 +47,14 @@ def blurred():
 
 
 @pytest.fixture
-def kept():
-    return KeptWork()
+def cache():
+    return JobCache()
 
 
-def measure(viewer, layer, kept):
+def measure(viewer, layer, cache):
     """Analyse the shown plane, as the other widgets do."""
     picture = Picture.of(shown_plane(layer, viewer.dims))
-    return picture, estimated_map(picture, MapSettings(), kept, silent)
+    return picture, estimated_map(picture, MapSettings(), cache, silent)
 
 
 def show(outline, image, corners):
@@ -58,11 +62,11 @@ def show(outline, image, corners):
         time.sleep(0.01)
 
 
-def test_what_is_told_is_what_is_known_of_the_pixel_there(viewer, blurred, kept):
+def test_what_is_told_is_what_is_known_of_the_pixel_there(viewer, blurred, cache):
     image = viewer.add_image(blurred, **TURNED)
-    _, found = measure(viewer, image, kept)
-    told = probed(viewer, image, image.data_to_world((30.3, 70.4)), kept)
-    candidates = kept.analysed.latest(image).candidates
+    _, found = measure(viewer, image, cache)
+    told = probed(viewer, image, image.data_to_world((30.3, 70.4)), cache)
+    candidates = cache.analysed.latest(image).candidates
     expected = explain_pixel(
         candidates, 30, 70, blur_map=found.values, confidence=found.confidence, image=blurred
     )
@@ -72,36 +76,36 @@ def test_what_is_told_is_what_is_known_of_the_pixel_there(viewer, blurred, kept)
     assert told.image is image
 
 
-def test_candidates_alone_are_told_before_there_is_a_map(viewer, blurred, kept):
+def test_candidates_alone_are_told_before_there_is_a_map(viewer, blurred, cache):
     image = viewer.add_image(blurred)
     picture = Picture.of(shown_plane(image, viewer.dims))
-    analysed_picture(picture, MapSettings(), kept, silent)
-    assert probed(viewer, image, (30, 30), kept).explanation.blur is None
+    analysed_picture(picture, MapSettings(), cache, silent)
+    assert probed(viewer, image, (30, 30), cache).explanation.blur is None
 
 
-def test_of_a_stack_only_the_measured_plane_is_known(viewer, blurred, kept):
+def test_of_a_stack_only_the_measured_plane_is_known(viewer, blurred, cache):
     stack = viewer.add_image(np.stack([blurred * 0, blurred, blurred]), scale=(2, 1, 1))
     viewer.dims.set_point(0, 2)
-    measure(viewer, stack, kept)
-    told = probed(viewer, stack, (2, 40, 50), kept)
+    measure(viewer, stack, cache)
+    told = probed(viewer, stack, (2, 40, 50), cache)
     assert (told.explanation.row, told.explanation.column) == (40, 50)
     assert set(told.corners[:, 0]) == {1}
     with pytest.raises(NothingKnownError, match="plane 1 was"):
-        probed(viewer, stack, (4, 40, 50), kept)
+        probed(viewer, stack, (4, 40, 50), cache)
 
 
-def test_place_that_nobody_has_measured_is_said_to_be_unknown(viewer, blurred, kept):
+def test_place_that_nobody_has_measured_is_said_to_be_unknown(viewer, blurred, cache):
     image = viewer.add_image(blurred.copy())
     with pytest.raises(NothingKnownError, match="Nothing is known here yet: measure the picture"):
-        probed(viewer, image, (3, 3), kept)
+        probed(viewer, image, (3, 3), cache)
     with pytest.raises(NothingKnownError, match="no image"):
-        probed(viewer, None, (3, 3), kept)
-    measure(viewer, image, kept)
+        probed(viewer, None, (3, 3), cache)
+    measure(viewer, image, cache)
     with pytest.raises(NothingKnownError, match="outside"):
-        probed(viewer, image, (3, SIDE), kept)
+        probed(viewer, image, (3, SIDE), cache)
     image.data = 1 - image.data
     with pytest.raises(NothingKnownError, match="was changed"):
-        probed(viewer, image, (3, 3), kept)
+        probed(viewer, image, (3, 3), cache)
 
 
 def test_part_of_a_plane_has_its_own_rows_and_columns(viewer):
@@ -116,12 +120,12 @@ def test_part_of_a_plane_has_its_own_rows_and_columns(viewer):
     np.testing.assert_array_equal(corners.max(axis=0), (3, 35, 69))
 
 
-def test_outline_lies_on_the_window(viewer, blurred, kept):
+def test_outline_lies_on_the_window(viewer, blurred, cache):
     image = viewer.add_image(blurred, **TURNED)
-    measure(viewer, image, kept)
+    measure(viewer, image, cache)
     outline = WindowOutline(viewer, lambda: None)
     for place in ((60, 60), (80, 70)):
-        told = probed(viewer, image, image.data_to_world(place), kept)
+        told = probed(viewer, image, image.data_to_world(place), cache)
         show(outline, told.image, told.corners)
         [drawn] = outline.layer.data
         np.testing.assert_allclose(drawn.min(axis=0), told.explanation.window[:2])
@@ -188,18 +192,18 @@ def test_outline_may_be_deleted_by_hand(viewer):
     assert deleted == [True, True]
 
 
-def test_picture_of_a_result_is_the_one_that_it_was_made_of(viewer, blurred, kept):
+def test_picture_of_a_result_is_the_one_that_it_was_made_of(viewer, blurred, cache):
     other = viewer.add_image(np.zeros((9, 9)), name="other")
     image = viewer.add_image(blurred, name="stones")
-    picture, found = measure(viewer, image, kept)
+    picture, found = measure(viewer, image, cache)
     layer = blur_map_layer(picture.plane, found.values, MapSettings(), found.noise_variance)
-    [shown] = show_results(viewer, [layer])
+    [shown] = add_results(viewer, [layer])
     assert image_of(viewer.layers, shown) is image
-    assert image_to_probe(viewer, kept) is image
+    assert image_to_probe(viewer, cache) is image
     viewer.layers.selection.active = other
-    assert image_to_probe(viewer, kept) is image, "nothing is known of the other"
-    assert image_to_probe(viewer, KeptWork()) is other
-    assert image_to_probe(ViewerModel(), kept) is None
+    assert image_to_probe(viewer, cache) is image, "nothing is known of the other"
+    assert image_to_probe(viewer, JobCache()) is other
+    assert image_to_probe(ViewerModel(), cache) is None
 
 
 # --- the widget -----------------------------------------------------------------------------
@@ -209,7 +213,7 @@ def test_picture_of_a_result_is_the_one_that_it_was_made_of(viewer, blurred, kep
 def beside(viewer, qtbot, blurred):
     """The probe beside a viewer's model with a measured picture; watching."""
     image = viewer.add_image(blurred, name="stones")
-    measure(viewer, image, ImagePanel.kept)
+    measure(viewer, image, ImagePanel.cache)
     widget = ProbeWidget(viewer)
     qtbot.addWidget(widget.native)
     widget.start()
@@ -239,9 +243,9 @@ def click(viewer, position, *, drag=0):
 def test_hover_tells_the_latest_place_once(viewer, beside, qtbot, monkeypatch):
     asked = []
 
-    def counted(viewer, layer, position, kept):
+    def counted(viewer, layer, position, cache):
         asked.append(position)
-        return probed(viewer, layer, position, kept)
+        return probed(viewer, layer, position, cache)
 
     monkeypatch.setattr(probe, "probed", counted)
     for row in range(20, 60):
@@ -253,7 +257,7 @@ def test_hover_tells_the_latest_place_once(viewer, beside, qtbot, monkeypatch):
 
 
 def probe_at(viewer, position):
-    return probed(viewer, viewer.layers["stones"], position, ImagePanel.kept)
+    return probed(viewer, viewer.layers["stones"], position, ImagePanel.cache)
 
 
 @pytest.mark.display
@@ -299,7 +303,7 @@ def test_refresh_shows_what_a_new_analysis_has_found(viewer, beside):
     before = beside.text.value
     image = viewer.layers["stones"]
     picture = Picture.of(shown_plane(image, viewer.dims))
-    estimated_map(picture, MapSettings(max_radius=4, noise_variance=1e-3), ImagePanel.kept, silent)
+    estimated_map(picture, MapSettings(max_radius=4, noise_variance=1e-3), ImagePanel.cache, silent)
     beside.refresh()
     assert beside.text.value != before
     assert beside._curve.figure.axes[0].get_xlim() == (0, 4)
@@ -349,7 +353,7 @@ def test_picture_may_be_deleted_while_it_is_explained(viewer, beside, qtbot):
 def test_slider_is_followed(viewer, qtbot, blurred):
     stack = viewer.add_image(np.stack([blurred, 1 - blurred]), name="stones")
     viewer.dims.set_point(0, 0)
-    measure(viewer, stack, ImagePanel.kept)
+    measure(viewer, stack, ImagePanel.cache)
     widget = ProbeWidget(viewer)
     qtbot.addWidget(widget.native)
     widget.start()
@@ -369,7 +373,7 @@ def test_mouse_is_followed_and_clicks_pin_in_a_real_window(
 ):
     viewer = make_napari_viewer_proxy(show=True)
     image = viewer.add_image(blurred, name="stones")
-    measure(viewer, image, ImagePanel.kept)
+    measure(viewer, image, ImagePanel.cache)
     labels = viewer.add_labels(np.zeros((SIDE, SIDE), np.uint8))
     widget = ProbeWidget(viewer)
     dock = viewer.window.add_dock_widget(widget)

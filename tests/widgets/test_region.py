@@ -3,9 +3,9 @@ import pytest
 from napari.components import ViewerModel
 
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.jobs.analysis import Analysis
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.map_source import EstimatedSource, source_of_layer
 from napari_defocus.widgets.layers import image_layers as layers
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
@@ -43,9 +43,9 @@ def part_of(viewer, image, choice):
     return plane_in(shown_plane(image, viewer.dims), region_of(image, viewer, choice))
 
 
-def analysed(plane, kept=None):
+def analysed(plane, cache=None):
     wanted = Analysis(plane=plane, estimation=MapSettings(), mask=MaskSettings(threshold=3.0))
-    return wanted.run(kept or KeptWork())
+    return wanted.run(cache or JobCache())
 
 
 def test_whole_picture_is_the_plane_itself(viewer, picture):
@@ -158,7 +158,7 @@ def test_results_of_a_part_lie_on_the_part_and_say_so(viewer, picture, texture, 
     shapes = viewer.add_shapes([DIAMOND], shape_type="polygon", name="cells", **PLACED)
     part = part_of(viewer, picture, shapes)
     np.testing.assert_array_equal(part.read(), texture[10:51, 20:61])
-    blur_map, confidence, mask = show_results(viewer, analysed(part))
+    blur_map, confidence, mask = add_results(viewer, analysed(part))
     for layer in (blur_map, confidence, mask):
         assert layer.data.shape == (41, 41)
         for corner in np.ndindex(2, 2):
@@ -186,17 +186,17 @@ def test_outside_of_the_shapes_nothing_counts_but_the_map_goes_on(viewer, pictur
 def test_another_shape_of_the_same_size_estimates_again_the_same_shape_does_not(
     viewer, picture, method
 ):
-    kept = KeptWork()
+    cache = JobCache()
     shapes = viewer.add_shapes([DIAMOND], shape_type="polygon", **PLACED)
     first = part_of(viewer, picture, shapes)
     assert part_of(viewer, picture, shapes) == first
-    analysed(first, kept)
-    analysed(part_of(viewer, picture, shapes), kept)
+    analysed(first, cache)
+    analysed(part_of(viewer, picture, shapes), cache)
     assert len(method.estimations) == 1
     shapes.data = [np.add(DIAMOND, (5, 0))]
     moved = part_of(viewer, picture, shapes)
     assert moved != first
-    analysed(moved, kept)
+    analysed(moved, cache)
     assert len(method.estimations) == 2
 
 
@@ -206,7 +206,7 @@ def test_map_that_is_estimated_for_a_part_has_no_say_outside_of_the_shapes(viewe
     shapes = viewer.add_shapes([DIAMOND], shape_type="polygon", **PLACED)
     part = part_of(viewer, picture, shapes)
     source = EstimatedSource(settings=MapSettings())
-    found = source.read(Picture.of(part), KeptWork(), lambda step, done: None)
+    found = source.read(Picture.of(part), JobCache(), lambda step, done: None)
     assert not found.confidence[~part.inside].any()
     assert found.confidence[part.inside].all()
 
@@ -226,7 +226,7 @@ def test_seeds_and_maps_of_the_whole_picture_serve_a_part_too(viewer, picture, t
 def test_map_of_a_part_serves_that_part_with_its_confidence_and_no_other(viewer, picture, method):
     shapes = viewer.add_shapes([BOX], shape_type="polygon", **PLACED)
     part = part_of(viewer, picture, shapes)
-    blur_map, confidence, _ = show_results(viewer, analysed(part))
+    blur_map, confidence, _ = add_results(viewer, analysed(part))
     source = source_of_layer(blur_map, part, viewer, "disc")
     np.testing.assert_array_equal(source.confidence.read(), confidence.data)
     shapes.data = [np.add(BOX, (3, 0))]

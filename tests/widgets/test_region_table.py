@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.display.region_table import add_regions
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_layers import (
@@ -21,7 +21,7 @@ def squares(shape):
     return mask
 
 
-def add_results(viewer, image, *, with_map=True, with_confidence=True):
+def add_mask_and_maps(viewer, image, *, with_map=True, with_confidence=True):
     plane = shown_plane(image, viewer.dims)
     mask = squares(plane.shape)
     radius = np.where(mask, 1.0, 5.0).astype(np.float32)
@@ -31,7 +31,7 @@ def add_results(viewer, image, *, with_map=True, with_confidence=True):
         results.append(blur_map_layer(plane, radius, *made_with))
     if with_confidence:
         results.append(confidence_layer(plane, radius / 10, *made_with))
-    return show_results(viewer, results)
+    return add_results(viewer, results)
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def image(viewer, texture):
 
 
 def test_regions_lie_on_the_picture_with_their_numbers(viewer, image, messages):
-    add_results(viewer, image)
+    add_mask_and_maps(viewer, image)
     layer = add_regions(viewer, image)
     assert layer.name == "photo regions"
     assert layer.data[50, 70] == 1
@@ -60,7 +60,7 @@ def test_regions_lie_on_the_picture_with_their_numbers(viewer, image, messages):
 
 
 def test_row_of_a_region_is_shown_under_the_cursor(viewer, image):
-    add_results(viewer, image)
+    add_mask_and_maps(viewer, image)
     layer = add_regions(viewer, image)
     position = layer.data_to_world((10, 10))
     told = layer.get_status(position, world=True)["value"]
@@ -71,7 +71,7 @@ def test_row_of_a_region_is_shown_under_the_cursor(viewer, image):
 
 
 def test_mask_gets_a_row_for_blurred_and_one_for_in_focus(viewer, image):
-    mask, *_ = add_results(viewer, image)
+    mask, *_ = add_mask_and_maps(viewer, image)
     add_regions(viewer, image)
     assert mask.features["part"].tolist() == ["blurred", "in focus"]
     assert mask.features["area_px"].tolist() == [96 * 128 - 1300, 1300]
@@ -79,7 +79,7 @@ def test_mask_gets_a_row_for_blurred_and_one_for_in_focus(viewer, image):
 
 
 def test_second_run_updates_the_layer_and_its_table(viewer, image):
-    mask, *_ = add_results(viewer, image)
+    mask, *_ = add_mask_and_maps(viewer, image)
     layer = add_regions(viewer, image)
     mask.data = np.where(np.arange(128) < 30, mask.data, 0)
     assert add_regions(viewer, image) is layer
@@ -96,7 +96,7 @@ def test_without_a_mask_the_message_says_what_to_run(viewer, image, messages):
 
 
 def test_without_a_map_there_are_areas_and_a_word_about_it(viewer, image, messages):
-    add_results(viewer, image, with_map=False, with_confidence=False)
+    add_mask_and_maps(viewer, image, with_map=False, with_confidence=False)
     layer = add_regions(viewer, image)
     assert layer.features["area_px"].tolist()[1:] == [900, 400]
     assert "blur_median_px" not in layer.features
@@ -104,13 +104,13 @@ def test_without_a_map_there_are_areas_and_a_word_about_it(viewer, image, messag
 
 
 def test_without_a_confidence_there_are_radii_and_a_word_about_it(viewer, image, messages):
-    add_results(viewer, image, with_confidence=False)
+    add_mask_and_maps(viewer, image, with_confidence=False)
     assert "blur_median_px" in add_regions(viewer, image).features
     assert "no confidence layer" in messages()[0]
 
 
 def test_nothing_in_focus_is_one_row(viewer, image, messages):
-    mask, *_ = add_results(viewer, image)
+    mask, *_ = add_mask_and_maps(viewer, image)
     mask.data = np.zeros_like(mask.data)
     layer = add_regions(viewer, image)
     assert layer.features["part"].tolist() == ["blurred"]
@@ -120,7 +120,7 @@ def test_nothing_in_focus_is_one_row(viewer, image, messages):
 def test_plane_of_a_stack_is_measured_where_it_was_analysed(viewer, texture, messages):
     stack = viewer.add_image(np.stack([texture] * 3), name="film", scale=(2, 1, 1))
     viewer.dims.set_current_step(0, 1)
-    add_results(viewer, stack)
+    add_mask_and_maps(viewer, stack)
     layer = add_regions(viewer, stack)
     assert layer.data.shape == (1, 96, 128)
     assert layer.translate[0] == 2.0
@@ -134,7 +134,7 @@ def test_plane_of_a_stack_is_measured_where_it_was_analysed(viewer, texture, mes
 @pytest.mark.display
 def test_napari_shows_the_table(window, texture, qtbot):
     image = window.add_image(texture, name="photo")
-    add_results(window, image)
+    add_mask_and_maps(window, image)
     window.layers.selection.active = add_regions(window, image)
     _, table = window.window.add_plugin_dock_widget("napari", "Features table widget")
     model = table.table.model()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.display.relief import hide_relief, show_relief
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_layers import blur_map_layer, confidence_layer
@@ -38,14 +38,14 @@ def results_on(layer, viewer, blur=None, sure=1.0, **options):
         blur_map_layer(plane, blur, MapSettings(), 3e-5),
         confidence_layer(plane, sure, MapSettings(), 3e-5),
     ]
-    return show_results(viewer, results, **options)
+    return add_results(viewer, results, **options)
 
 
 def depth_on(layer, viewer, depth, **options):
     plane = shown_plane(layer, viewer.dims)
     made = {"result": "depth", "source": layer.name}
     keywords = {"name": "leaf depth (m)", "metadata": {METADATA_KEY: made}, **plane.placement}
-    return show_results(viewer, [(plane.expanded(depth), keywords, "image")], **options)
+    return add_results(viewer, [(plane.expanded(depth), keywords, "image")], **options)
 
 
 def corners(relief):

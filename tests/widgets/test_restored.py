@@ -5,9 +5,9 @@ from napari.layers import Image
 
 from napari_defocus import Disc
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.jobs.analysis import Analysis
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.map_source import EstimatedSource, source_of_layer
 from napari_defocus.widgets.jobs.restoration import Refocusing, Restoration
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
@@ -45,8 +45,8 @@ def refocusing(viewer, layer, view, **options):
 
 
 def test_picture_all_in_focus_lies_on_the_picture_above_its_map(viewer, leaf, method):
-    results = restoration(viewer, leaf).run(KeptWork())
-    *_, sharp = show_results(viewer, results.layers)
+    results = restoration(viewer, leaf).run(JobCache())
+    *_, sharp = add_results(viewer, results.layers)
     names = [layer.name for layer in viewer.layers]
     assert names == ["leaf", "leaf blur (px)", "leaf confidence", "leaf all in focus"]
     assert sharp.data.dtype == np.float32
@@ -67,15 +67,15 @@ def test_picture_all_in_focus_lies_on_the_picture_above_its_map(viewer, leaf, me
 
 
 def test_what_the_blur_map_widget_has_estimated_is_used(viewer, leaf, method):
-    kept = KeptWork()
-    Analysis(plane=shown_plane(leaf, viewer.dims), estimation=MapSettings()).run(kept)
-    restoration(viewer, leaf).run(kept)
+    cache = JobCache()
+    Analysis(plane=shown_plane(leaf, viewer.dims), estimation=MapSettings()).run(cache)
+    restoration(viewer, leaf).run(cache)
     assert len(method.estimations) == 1
 
 
 def test_settings_reach_the_method(viewer, leaf, method):
-    kept = KeptWork()
-    restoration(viewer, leaf, linearize="srgb", noise_variance=1e-4, tv_weight=2e-3).run(kept)
+    cache = JobCache()
+    restoration(viewer, leaf, linearize="srgb", noise_variance=1e-4, tv_weight=2e-3).run(cache)
     [call] = method.restorations
     assert call["psf"] == Disc()
     assert call["linearize"] == "srgb"
@@ -87,7 +87,7 @@ def test_settings_reach_the_method(viewer, leaf, method):
 
 @pytest.mark.parametrize("protect", [True, False])
 def test_uncertain_places_are_protected_if_it_is_wanted(viewer, leaf, method, protect):
-    results = restoration(viewer, leaf, protect=protect).run(KeptWork())
+    results = restoration(viewer, leaf, protect=protect).run(JobCache())
     [call] = method.restorations
     assert (call["confidence"] is not None) == protect
     assert (call["blur_map"] < method.radius).all() == protect
@@ -96,37 +96,37 @@ def test_uncertain_places_are_protected_if_it_is_wanted(viewer, leaf, method, pr
 
 def test_map_of_a_layer_is_taken_as_it_is_now(viewer, leaf, method):
     theirs = viewer.add_image(np.full(leaf.data.shape, 3.0), name="theirs")
-    kept = KeptWork()
+    cache = JobCache()
     wanted = restoration(viewer, leaf, map_layer=theirs)
-    results = wanted.run(kept)
+    results = wanted.run(cache)
     assert not method.estimations
     assert (method.restorations[0]["blur_map"] == 3.0).all()
     assert method.restorations[0]["confidence"] is None
     assert [keywords["name"] for _, keywords, _ in results.layers] == ["leaf all in focus"]
     assert "Nothing is protected" in results.summary
     theirs.data[5, 5] = 1.0
-    wanted.run(kept)
+    wanted.run(cache)
     assert method.restorations[1]["blur_map"][5, 5] == 1.0
 
 
 def test_map_of_ours_is_protected_until_somebody_changes_it(viewer, leaf, method):
-    kept = KeptWork()
-    run = Analysis(plane=shown_plane(leaf, viewer.dims), estimation=MapSettings()).run(kept)
+    cache = JobCache()
+    run = Analysis(plane=shown_plane(leaf, viewer.dims), estimation=MapSettings()).run(cache)
     blur_map = Image(run[0][0], **run[0][1])
     viewer.add_layer(blur_map)
     wanted = restoration(viewer, leaf, map_layer=blur_map)
-    wanted.run(kept)
+    wanted.run(cache)
     assert (method.restorations[0]["blur_map"] < method.radius).all()
     blur_map.data[5, 5] = 1.0
-    wanted.run(kept)
+    wanted.run(cache)
     assert method.restorations[1]["blur_map"][5, 5] == 1.0
 
 
 def test_another_view_of_the_same_picture_only_blurs_it_again(viewer, leaf, method):
-    kept = KeptWork()
+    cache = JobCache()
     for focus, aperture, side in ((0, 1, "far"), (3, 2, "near"), (4, 0, "far")):
         view = RefocusSettings(focus=focus, aperture=aperture, side=side, linearize=None)
-        refocusing(viewer, leaf, view).run(kept)
+        refocusing(viewer, leaf, view).run(cache)
     assert len(method.restorations) == len(method.labelings) == 1
     told = [(call["focus"], call["aperture"], call["side"]) for call in method.refocusings]
     assert told == [(0, 1, "far"), (3, 2, "near"), (4, 0, "far")]
@@ -135,9 +135,9 @@ def test_another_view_of_the_same_picture_only_blurs_it_again(viewer, leaf, meth
 
 
 def test_what_is_made_all_in_focus_can_be_seen_with_another_focus(viewer, leaf, method):
-    kept = KeptWork()
-    restoration(viewer, leaf).run(kept)
-    refocusing(viewer, leaf, RefocusSettings(focus=2, linearize=None)).run(kept)
+    cache = JobCache()
+    restoration(viewer, leaf).run(cache)
+    refocusing(viewer, leaf, RefocusSettings(focus=2, linearize=None)).run(cache)
     assert len(method.restorations) == 1
 
 
@@ -145,32 +145,32 @@ def test_what_is_made_all_in_focus_can_be_seen_with_another_focus(viewer, leaf, 
     "changed", [{"tv_weight": 1e-3}, {"linearize": "srgb"}, {"protect": False}]
 )
 def test_other_settings_restore_again(viewer, leaf, method, changed):
-    kept = KeptWork()
-    restoration(viewer, leaf).run(kept)
-    restoration(viewer, leaf, **changed).run(kept)
+    cache = JobCache()
+    restoration(viewer, leaf).run(cache)
+    restoration(viewer, leaf, **changed).run(cache)
     assert len(method.restorations) == 2
 
 
 def test_edited_picture_is_restored_again(viewer, leaf, method):
-    kept, wanted = KeptWork(), restoration(viewer, leaf)
-    wanted.run(kept)
+    cache, wanted = JobCache(), restoration(viewer, leaf)
+    wanted.run(cache)
     leaf.data[10, 10] = 0
-    wanted.run(kept)
+    wanted.run(cache)
     assert len(method.restorations) == 2
 
 
 def test_painting_on_the_result_does_not_change_what_is_kept(viewer, leaf, method):
-    kept = KeptWork()
-    show_results(viewer, restoration(viewer, leaf).run(kept).layers)[-1].data[:] = 1
-    refocusing(viewer, leaf, RefocusSettings(linearize=None)).run(kept)
+    cache = JobCache()
+    add_results(viewer, restoration(viewer, leaf).run(cache).layers)[-1].data[:] = 1
+    refocusing(viewer, leaf, RefocusSettings(linearize=None)).run(cache)
     assert method.refocusings[0]["all_in_focus"].max() == 0.25
 
 
 def test_another_focus_updates_its_layer_and_leaves_the_map_alone(viewer, leaf, method):
-    kept = KeptWork()
+    cache = JobCache()
     for focus in (2.0, 4.0):
         view = RefocusSettings(focus=focus)
-        layers = show_results(viewer, refocusing(viewer, leaf, view).run(kept).layers)
+        layers = add_results(viewer, refocusing(viewer, leaf, view).run(cache).layers)
         assert layers[-1].name == "leaf refocused"
         assert layers[-1].data.max() == np.float32(focus / 10)
         layers[0].contrast_limits = (1, 3)
@@ -185,17 +185,17 @@ def test_another_focus_updates_its_layer_and_leaves_the_map_alone(viewer, leaf, 
 def test_colour_stays_colour(viewer, method, channels):
     color = np.random.default_rng(0).random((32, 48, channels), np.float32)
     layer = viewer.add_image(color, name="color")
-    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    *_, sharp = add_results(viewer, restoration(viewer, layer).run(JobCache()).layers)
     assert sharp.rgb
     assert sharp.data.shape == (32, 48, 3)
 
 
 def test_grey_picture_takes_the_place_of_a_colour_picture_of_its_name(viewer, method, texture):
     layer = viewer.add_image(np.dstack([texture] * 3), name="leaf")
-    show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    add_results(viewer, restoration(viewer, layer).run(JobCache()).layers)
     viewer.layers.remove(layer)
     layer = viewer.add_image(texture, name="leaf")
-    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    *_, sharp = add_results(viewer, restoration(viewer, layer).run(JobCache()).layers)
     assert not sharp.rgb
     assert sharp.name == "leaf all in focus"
     assert sharp.data.shape == texture.shape
@@ -205,7 +205,7 @@ def test_of_a_stack_the_plane_that_is_shown(viewer, method):
     stack = np.random.default_rng(0).random((4, 32, 48, 3))
     layer = viewer.add_image(stack, scale=(5, 1, 1))
     viewer.dims.set_current_step(0, 2)
-    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    *_, sharp = add_results(viewer, restoration(viewer, layer).run(JobCache()).layers)
     np.testing.assert_array_equal(method.restorations[0]["image"], stack[2])
     assert sharp.data.shape == (1, 32, 48, 3)
     assert tuple(sharp.data_to_world((0, 0, 0))) == (10, 0, 0)
@@ -214,7 +214,7 @@ def test_of_a_stack_the_plane_that_is_shown(viewer, method):
 def test_of_several_scales_and_of_dask_the_finest(viewer, method, texture):
     lazy = da.from_array(texture, chunks=40)
     layer = viewer.add_image([lazy, lazy[::2, ::2]])
-    *_, sharp = show_results(viewer, restoration(viewer, layer).run(KeptWork()).layers)
+    *_, sharp = add_results(viewer, restoration(viewer, layer).run(JobCache()).layers)
     assert sharp.data.shape == texture.shape
     np.testing.assert_array_equal(method.restorations[0]["image"], texture)
 
@@ -222,7 +222,7 @@ def test_of_several_scales_and_of_dask_the_finest(viewer, method, texture):
 def test_12_bit_data_in_uint16_are_shown_as_the_layer_shows_them(viewer, method):
     data = np.random.default_rng(0).integers(0, 4096, (32, 48)).astype(np.uint16)
     layer = viewer.add_image(data, contrast_limits=(0, 4095))
-    found = refocusing(viewer, layer, RefocusSettings()).run(KeptWork())
+    found = refocusing(viewer, layer, RefocusSettings()).run(JobCache())
     for call in (*method.estimations, *method.restorations, *method.refocusings):
         assert call.get("intensity_range") is None
     assert found.layers[-1][1]["contrast_limits"] == pytest.approx((0, 4095 / 65535))
@@ -231,14 +231,14 @@ def test_12_bit_data_in_uint16_are_shown_as_the_layer_shows_them(viewer, method)
 def test_pixels_without_a_value_are_refused_before_any_work(viewer, leaf, method):
     leaf.data[3, 4] = np.inf
     with pytest.raises(NotAnalysableError, match="infinite"):
-        restoration(viewer, leaf).run(KeptWork())
+        restoration(viewer, leaf).run(JobCache())
     assert not method.estimations
 
 
 def test_progress_rises_from_0_to_1(viewer, leaf, method):
     seen = []
     wanted = refocusing(viewer, leaf, RefocusSettings())
-    wanted.run(KeptWork(), lambda step, done: seen.append(done))
+    wanted.run(JobCache(), lambda step, done: seen.append(done))
     assert seen == sorted(seen)
     assert 0.0 <= seen[0] <= seen[-1] <= 1.0
 

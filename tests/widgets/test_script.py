@@ -21,8 +21,8 @@ from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, 
 from napari_defocus.widgets.export.script import script_of
 from napari_defocus.widgets.export.script_picture import text_literal
 from napari_defocus.widgets.jobs.analysis import Analysis
-from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.distances import Distances
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.map_source import EstimatedSource, LayerSource
 from napari_defocus.widgets.jobs.restoration import Refocusing, Restoration
 from napari_defocus.widgets.layers.image_layers import plane_at
@@ -198,7 +198,7 @@ def ran(scripts, tmp_path_factory):
 
 @pytest.mark.parametrize("name", CASES)
 def test_script_gives_what_the_run_gives_bit_for_bit(cases, ran, name):
-    results = cases[name][0].run(KeptWork())
+    results = cases[name][0].run(JobCache())
     layers = getattr(results, "layers", results)
     assert layers
     for data, keywords, _ in layers:

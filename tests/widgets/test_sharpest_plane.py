@@ -7,10 +7,10 @@ from skimage.data import camera
 
 from napari_defocus import Cancelled, simulate_defocus
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
 from napari_defocus.widgets.jobs import focus_stacking as best_focus
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.focus_stacking import BestFocus
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
@@ -39,7 +39,7 @@ def found_of(viewer, layer, axis, progress=lambda step, done: None):
     wanted = BestFocus(
         plane=shown_plane(layer, viewer.dims), axis=axis, settings=MapSettings(), px_per_plane=1.0
     )
-    return wanted.run(KeptWork(), progress)
+    return wanted.run(JobCache(), progress)
 
 
 def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(viewer, sweep):
@@ -52,7 +52,7 @@ def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(vie
         axis_labels=("z", "y", "x"),
     )
     results = found_of(viewer, layer, 0)
-    picture, position, sure = show_results(viewer, results.layers)
+    picture, position, sure = add_results(viewer, results.layers)
     assert [each.name for each in (picture, position, sure)] == [
         "sweep sharpest",
         "sweep best focus (plane)",
@@ -70,7 +70,7 @@ def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(vie
         assert each.axis_labels == ("y", "x")
         assert each.metadata[METADATA_KEY]["px_per_plane"] == 1
     assert "The blur grows by 1.00 px a plane (given)" in results.summary
-    again = show_results(viewer, results.layers)
+    again = add_results(viewer, results.layers)
     assert again == [picture, position, sure]
 
 
@@ -80,7 +80,7 @@ def test_focus_along_one_of_two_sliders_of_colours_in_any_order(viewer, sweep):
     layer = viewer.add_image(da.from_array(movie, chunks=64), rgb=True, scale=(1, 2, 3, 4))
     viewer.dims.order = (1, 2, 0, 3)
     viewer.dims.set_current_step((1, 2), (1, 4))
-    picture, position, _ = show_results(viewer, found_of(viewer, layer, 2).layers)
+    picture, position, _ = add_results(viewer, found_of(viewer, layer, 2).layers)
     assert picture.rgb
     assert picture.data.shape == (90, 1, 1, 140, 3)
     assert tuple(picture.scale) == (1, 2, 3, 4)

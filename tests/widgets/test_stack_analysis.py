@@ -9,9 +9,9 @@ from napari.layers import Labels
 import napari_defocus
 from napari_defocus import Cancelled, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.jobs.analysis import Analysis
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.map_source import source_of_layer
 from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
@@ -51,14 +51,14 @@ def wanted(plane, **more):
     return StackAnalysis(plane=plane, **settings)
 
 
-def results_of(viewer, layer, kept=None, **more):
-    return wanted(shown_plane(layer, viewer.dims), **more).run(kept or KeptWork())
+def results_of(viewer, layer, cache=None, **more):
+    return wanted(shown_plane(layer, viewer.dims), **more).run(cache or JobCache())
 
 
 def test_every_plane_gets_its_own_result_and_all_lie_on_the_stack(viewer, stack, brightness):
     layer = viewer.add_image(stack, name="sweep", **PLACED)
     viewer.dims.set_current_step(0, 2)
-    blur_map, confidence, mask = show_results(viewer, results_of(viewer, layer).layers)
+    blur_map, confidence, mask = add_results(viewer, results_of(viewer, layer).layers)
     assert [found.name for found in (blur_map, confidence, mask)] == [
         "sweep blur (px)",
         "sweep confidence",
@@ -118,7 +118,7 @@ def test_region_is_cut_out_of_every_plane(viewer, stack, brightness):
     shapes = viewer.add_shapes([diamond], shape_type="polygon", **PLACED)
     viewer.dims.set_point(0, 10)
     plane = plane_in(shown_plane(layer, viewer.dims), region_of(layer, viewer, shapes))
-    blur_map, confidence, mask = show_results(viewer, wanted(plane).run(KeptWork()).layers)
+    blur_map, confidence, mask = add_results(viewer, wanted(plane).run(JobCache()).layers)
     radii = 10 * stack[:, 2:23, 10:31].mean(axis=(1, 2))
     np.testing.assert_allclose(
         blur_map.data, np.ones((4, 21, 21)) * radii[:, None, None], rtol=1e-4
@@ -134,7 +134,7 @@ def test_region_is_cut_out_of_every_plane(viewer, stack, brightness):
 def test_progress_names_the_plane_and_never_falls(viewer, stack, method):
     seen = []
     plane = shown_plane(viewer.add_image(stack), viewer.dims)
-    wanted(plane).run(KeptWork(), lambda step, done: seen.append((step, done)))
+    wanted(plane).run(JobCache(), lambda step, done: seen.append((step, done)))
     assert ("Plane 3 of 4: Estimating blur") in [step for step, _ in seen]
     shares = [done for _, done in seen]
     assert shares == sorted(shares)
@@ -151,7 +151,7 @@ def test_cancel_ends_the_run_between_and_within_planes(viewer, stack, method):
                 raise Cancelled
 
         with pytest.raises(Cancelled):
-            wanted(plane).run(KeptWork(), cancel)
+            wanted(plane).run(JobCache(), cancel)
         assert 2 <= len(method.estimations) <= 3
 
 
@@ -224,13 +224,13 @@ def test_seeds_of_one_picture_hold_for_all_planes_and_those_of_a_shifted_stack_a
 
 
 def test_only_the_shown_plane_is_kept(viewer, stack, method):
-    kept = KeptWork()
+    cache = JobCache()
     layer = viewer.add_image(stack)
     viewer.dims.set_current_step(0, 1)
     plane = shown_plane(layer, viewer.dims)
-    wanted(plane).run(kept)
-    assert len(kept.analysed) == len(kept.maps) == 1
-    Analysis(plane=plane, estimation=MapSettings(), mask=MaskSettings(threshold=3.0)).run(kept)
+    wanted(plane).run(cache)
+    assert len(cache.analysed) == len(cache.maps) == 1
+    Analysis(plane=plane, estimation=MapSettings(), mask=MaskSettings(threshold=3.0)).run(cache)
     assert len(method.estimations) == 4
 
 
@@ -249,14 +249,14 @@ def test_of_a_dask_stack_one_plane_at_a_time_is_computed(viewer, method, scales)
     computed.clear()
     seen = []
     analysis.run(
-        KeptWork(), lambda step, done: seen.append(set(computed)) if "Estimating" in step else None
+        JobCache(), lambda step, done: seen.append(set(computed)) if "Estimating" in step else None
     )
     assert seen == [set(range(n + 1)) for n in range(5)]
 
 
 def test_map_of_a_stack_serves_the_plane_that_is_shown(viewer, stack, brightness):
     layer = viewer.add_image(stack, **PLACED)
-    blur_map, confidence, _ = show_results(viewer, results_of(viewer, layer).layers)
+    blur_map, confidence, _ = add_results(viewer, results_of(viewer, layer).layers)
     viewer.dims.set_current_step(0, 3)
     source = source_of_layer(blur_map, shown_plane(layer, viewer.dims), viewer, "disc")
     np.testing.assert_array_equal(source.plane.read(), blur_map.data[3])

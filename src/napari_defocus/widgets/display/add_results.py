@@ -12,7 +12,7 @@ from napari.types import LayerDataTuple
 from napari.utils.transforms import Affine
 from numpy.typing import NDArray
 
-from napari_defocus.widgets.display.cursor_text import tell_under_cursor
+from napari_defocus.widgets.display.cursor_text import show_under_cursor
 from napari_defocus.widgets.display.renaming import rename_with
 from napari_defocus.widgets.layers.result_metadata import (
     AT,
@@ -39,7 +39,7 @@ OUTLINE = 2
 """How wide the outline of a mask is inside of it, in px; a wider one takes napari long to draw."""
 
 
-def show_results(
+def add_results(
     viewer: ViewerModel, results: list[LayerDataTuple], *, keep_earlier: bool = False
 ) -> list[Layer]:
     """Put results into a viewer; those of an earlier run on the same layer are updated or kept.
@@ -70,17 +70,17 @@ def show_results(
     >>> made = {"napari_defocus": {"result": "blur map", "source": "leaf"}}
     >>> result = np.ones((9, 9)), {"name": "leaf blur (px)", "metadata": made}, "image"
     >>> for keep in (False, False, True):
-    ...     layers = show_results(viewer, [result], keep_earlier=keep)
+    ...     layers = add_results(viewer, [result], keep_earlier=keep)
     >>> [layer.name for layer in viewer.layers]
     ['leaf blur (px)', 'leaf blur (px) 2']
     """
-    return list(dict.fromkeys(showing_results(viewer, results, keep_earlier=keep_earlier)))
+    return list(dict.fromkeys(add_results_stepwise(viewer, results, keep_earlier=keep_earlier)))
 
 
-def showing_results(
+def add_results_stepwise(
     viewer: ViewerModel, results: list[LayerDataTuple], *, keep_earlier: bool = False
 ) -> Iterator[Layer]:
-    """Do the work of `show_results` in small steps, for a window that must not stop.
+    """Do the work of `add_results` in small steps, for a window that must not stop.
 
     Yields
     ------
@@ -94,7 +94,7 @@ def showing_results(
     for result in results:
         yield from _showing(viewer, *result)
     _follow_names(viewer, results)
-    tell_under_cursor(viewer)
+    show_under_cursor(viewer)
 
 
 def _follow_names(viewer: ViewerModel, results: list[LayerDataTuple]) -> None:
@@ -132,7 +132,7 @@ def _showing(
     viewer: ViewerModel, data: Any, keywords: dict[str, Any], kind: str
 ) -> Iterator[Layer]:
     layer = _earlier_result(viewer.layers, keywords)
-    if layer is not None and _is_of_kept_stack(layer, keywords):
+    if layer is not None and _is_of_stored_stack(layer, keywords):
         layer = None
     if layer is not None and not _can_hold(layer, keywords):
         viewer.layers.remove(layer)
@@ -171,13 +171,13 @@ def _can_hold(layer: Layer, keywords: dict[str, Any]) -> bool:
     )
 
 
-def _is_of_kept_stack(layer: Layer, keywords: dict[str, Any]) -> bool:
+def _is_of_stored_stack(layer: Layer, keywords: dict[str, Any]) -> bool:
     """Tell whether a layer has a stack on the disk, and these are results of a single plane.
 
     Nothing is written into a store; the results of one plane do not replace those of all.
     """
-    kept, made = layer.metadata[METADATA_KEY], keywords["metadata"][METADATA_KEY]
-    return STORE in kept and PLANES in kept and PLANES not in made
+    held, made = layer.metadata[METADATA_KEY], keywords["metadata"][METADATA_KEY]
+    return STORE in held and PLANES in held and PLANES not in made
 
 
 def _is_mask_on_map(viewer: ViewerModel, layer: Layer) -> bool:
@@ -220,7 +220,7 @@ def _set_plane(layer: Layer, data: NDArray[Any], keywords: dict[str, Any]) -> No
     at = keywords["metadata"][METADATA_KEY][AT]
     index = tuple(slice(None) if n is None else slice(n, n + 1) for n in at)
     layer.data[index] = data
-    _tell_of_data(layer)
+    _emit_data(layer)
 
 
 def _set_data(layer: Layer, data: Any, keywords: dict[str, Any]) -> None:
@@ -233,12 +233,12 @@ def _set_data(layer: Layer, data: Any, keywords: dict[str, Any]) -> None:
         if not np.array_equal(layer.data, data, equal_nan=data.dtype.kind == "f"):
             # Other data of the same shape would make napari build the picture anew.
             layer.data[...] = data
-            _tell_of_data(layer)
+            _emit_data(layer)
     else:
         layer.data = data
 
 
-def _tell_of_data(layer: Layer) -> None:
+def _emit_data(layer: Layer) -> None:
     """Draw a layer whose data were changed in place, and tell whoever listens."""
     layer.refresh(extent=False)
     # At an event "data", napari would make the shaders of labels anew.

@@ -27,14 +27,14 @@ from napari_defocus.widgets.layers.result_metadata import (
     same_estimation,
 )
 
-_SAID_IN_WORDS = (BLUR_MAP, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
+_DESCRIBED = (BLUR_MAP, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
 """Results whose own value, as napari tells it, says nothing more."""
 
 _BEFORE_VALUES = " » "
 """What napari puts between coordinates and values if several layers are selected."""
 
 
-def tell_under_cursor(viewer: ViewerModel) -> None:
+def show_under_cursor(viewer: ViewerModel) -> None:
     """Let a viewer tell the blur under the cursor from now on; once or often is the same.
 
     Parameters
@@ -96,8 +96,8 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
         # Rounded up, it might read like one that is trusted.
-        told = f"{sure:.2f}" if trusted else f"{math.floor(100 * sure) / 100:.2f} (not trusted)"
-        words.append(f"confidence {told}")
+        shown = f"{sure:.2f}" if trusted else f"{math.floor(100 * sure) / 100:.2f} (not trusted)"
+        words.append(f"confidence {shown}")
     if mask is not None:
         words.append("in focus" if mask else "blurred")
     return ", ".join(words)
@@ -193,7 +193,7 @@ def _with_text(status: dict[str, Any], asked: Layer, text: str) -> str:
     if status["coordinates"].endswith(text):
         return str(status["coordinates"])
     coordinates, value = status.get("coords"), status.get("value")
-    if coordinates and (made_by_us(asked) in _SAID_IN_WORDS or not value):
+    if coordinates and (made_by_us(asked) in _DESCRIBED or not value):
         return f"{coordinates}: {text}"
     return f"{status['coordinates']}; {text}"
 

@@ -11,7 +11,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 from numpy.typing import NDArray
 
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     IN_FOCUS,
@@ -54,7 +54,7 @@ class Probed:
 
 
 def probed(
-    viewer: ViewerModel, layer: Image | None, position: tuple[float, ...], kept: KeptWork
+    viewer: ViewerModel, layer: Image | None, position: tuple[float, ...], cache: JobCache
 ) -> Probed:
     """Tell what is known of an image layer at a place; nothing is estimated for it.
 
@@ -64,7 +64,7 @@ def probed(
     layer : napari.layers.Image or None
     position : tuple of float
         World coordinates, as those of mouse events.
-    kept : KeptWork
+    cache : JobCache
         What runs have found.
 
     Raises
@@ -75,11 +75,11 @@ def probed(
     """
     from napari_defocus import explain_pixel
 
-    known = _known(viewer, layer, kept)
+    known = _known(viewer, layer, cache)
     image, plane, candidates = _itself(layer), known.picture.plane, known.candidates
     row, column = pixel_at(image, plane.index, candidates.image_shape, position)
     found = known.blur_map
-    told = explain_pixel(
+    explanation = explain_pixel(
         candidates,
         row,
         column,
@@ -87,13 +87,14 @@ def probed(
         confidence=None if found is None else found.confidence,
         image=known.picture.image,
     )
-    return Probed(told, image, corners_of(told.window, plane.index, candidates.image_shape))
+    corners = corners_of(explanation.window, plane.index, candidates.image_shape)
+    return Probed(explanation, image, corners)
 
 
-def _known(viewer: ViewerModel, layer: Image | None, kept: KeptWork) -> "Analysed":
+def _known(viewer: ViewerModel, layer: Image | None, cache: JobCache) -> "Analysed":
     if layer is None:
         raise NothingKnownError("There is no image. Open one and measure it first.")
-    known = kept.analysed.latest(_itself(layer))
+    known = cache.analysed.latest(_itself(layer))
     if known is None:
         of_layer = (results_of(viewer.layers, name, layer.name) for name in (BLUR_MAP, IN_FOCUS))
         if any(STORE in result.metadata[METADATA_KEY] for found in of_layer for result in found):
@@ -179,13 +180,13 @@ def image_of(layers: Any, layer: Layer | None) -> Image | None:
     return next((o for o in named if isinstance(o, Image) and made_by_us(o) is None), None)
 
 
-def image_to_probe(viewer: ViewerModel, kept: KeptWork) -> Image | None:
+def image_to_probe(viewer: ViewerModel, cache: JobCache) -> Image | None:
     """Return the image layer to begin with: one that was analysed, rather the active one."""
     images = [layer for layer in viewer.layers if image_of([], layer) is not None]
     active = image_of(viewer.layers, viewer.layers.selection.active)
     # The active one last, so that it is taken if several will do.
     ordered = sorted(images, key=lambda image: image is active)
-    known = [image for image in ordered if kept.analysed.latest(_itself(image)) is not None]
+    known = [image for image in ordered if cache.analysed.latest(_itself(image)) is not None]
     return (known or ordered or [None])[-1]
 
 

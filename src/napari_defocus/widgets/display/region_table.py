@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.regions import RegionTable, measure_focus, measure_regions
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.layers.image_layers import (
     NotAnalysableError,
     Plane,
@@ -67,7 +67,7 @@ def add_regions(viewer: ViewerModel, image: Image) -> Labels | None:
     if wanted is None:
         return None
     measured = wanted.measured()
-    show_info(f"{wanted.told(measured)} {TABLE_HINT}")
+    show_info(f"{wanted.description(measured)} {TABLE_HINT}")
     return wanted.show(viewer, measured)
 
 
@@ -105,12 +105,12 @@ class WantedRegions:
         if finest(self.mask_layer).size == self.mask.size:
             self.mask_layer.features = dict(of_mask.columns)
         made = regions_layer(self.plane, labels, table, self.mask_layer)
-        [layer] = show_results(viewer, [made])
-        # Those of an earlier run are not updated by `show_results`.
+        [layer] = add_results(viewer, [made])
+        # Those of an earlier run are not updated by `add_results`.
         layer.features = dict(table.columns)
         return layer
 
-    def told(self, measured: Measured) -> str:
+    def description(self, measured: Measured) -> str:
         """Return what there is to say about it in words."""
         return " ".join([_counted(measured[1]), *_missing(self.plane.name, self.maps)])
 

@@ -15,7 +15,7 @@ from napari_defocus.core.checks import check_confidence
 from napari_defocus.optics.mesh import DepthSurface, blur_surface, depth_surface, picture_colors
 from napari_defocus.psf.families import check_number
 from napari_defocus.settings import CONFIDENT, MapSettings
-from napari_defocus.widgets.display.view_state import View, WayBack, show_alone, way_back
+from napari_defocus.widgets.display.view_state import CameraView, ViewState, show_alone, view_state
 from napari_defocus.widgets.jobs.distances import above, upright
 from napari_defocus.widgets.jobs.estimation import Picture
 from napari_defocus.widgets.jobs.map_source import confidence_of
@@ -110,7 +110,7 @@ def show_relief(
     """
     _check(exaggeration, heights, min_confidence)
     viewer, image_layer = _themselves(viewer, image_layer)
-    earlier = way_back(viewer)
+    earlier = view_state(viewer)
     view = earlier.view_of(image_layer) if earlier is not None else None
     hide_relief(viewer)
     make = wanted_relief(
@@ -146,15 +146,15 @@ def _check(exaggeration: float, heights: str, min_confidence: float) -> None:
 
 
 def show_made_relief(
-    viewer: ViewerModel, image_layer: Image, relief: Surface, view: View | None = None
+    viewer: ViewerModel, image_layer: Image, relief: Surface, view: CameraView | None = None
 ) -> Surface:
     """Show the surface that `wanted_relief` has made, instead of everything else."""
     viewer, image_layer = _themselves(viewer, image_layer)
     hide_relief(viewer)
-    back = WayBack(viewer, image_layer)
-    back.relief = weakref.ref(viewer.add_layer(relief))
+    state = ViewState(viewer, image_layer)
+    state.relief = weakref.ref(viewer.add_layer(relief))
     _look_at(viewer, relief, view)
-    back.wait()
+    state.wait()
     return relief
 
 
@@ -171,10 +171,10 @@ def hide_relief(viewer: ViewerModel) -> bool:
     ----------
     viewer : napari.components.ViewerModel or napari.Viewer
     """
-    back = way_back(viewer)
-    if back is None:
+    state = view_state(viewer)
+    if state is None:
         return False
-    back.take()
+    state.restore()
     return True
 
 
@@ -255,7 +255,7 @@ def _places(surface: DepthSurface, shape: tuple[int, int]) -> NDArray[np.float32
     return np.concatenate([places[:1], places]).astype(np.float32)
 
 
-def _look_at(viewer: ViewerModel, relief: Surface, view: View | None) -> None:
+def _look_at(viewer: ViewerModel, relief: Surface, view: CameraView | None) -> None:
     """Show the relief alone and in 3-D, as it was seen before or from where it is seen well."""
     show_alone(viewer, relief)
     viewer.dims.ndisplay = 3

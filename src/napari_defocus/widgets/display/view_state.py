@@ -1,4 +1,4 @@
-"""What a viewer showed before one surface alone was shown in 3-D, and the way back: no Qt."""
+"""What a viewer showed before one surface alone was shown in 3-D, to be restored: no Qt."""
 
 import weakref
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from napari.layers import Image, Layer, Surface
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """How a camera looks: its centre in world units, its zoom, its angles in degrees."""
 
     center: tuple[float, ...]
@@ -28,7 +28,7 @@ class View:
         camera.angles, camera.center, camera.zoom = self.angles, self.center, self.zoom
 
 
-class WayBack:
+class ViewState:
     """What a viewer showed before a relief, and when it is to show it again.
 
     It is a callback of the viewer, for as long as the relief is there, and lives no longer.
@@ -52,19 +52,19 @@ class WayBack:
         self._visible = _visible(viewer)
         active = viewer.layers.selection.active
         self._active = None if active is None else weakref.ref(active)
-        self._flat = self._deep = View.of(viewer)
+        self._flat = self._deep = CameraView.of(viewer)
         self._ndisplay = viewer.dims.ndisplay
         self._axes = viewer.dims.order, viewer.dims.point
 
-    def view_of(self, image_layer: Image) -> View | None:
+    def view_of(self, image_layer: Image) -> CameraView | None:
         """Return how the relief is looked at, if it is of that picture."""
         viewer = self._viewer()
         if viewer is None or self._image() is not image_layer:
             return None
-        return View.of(viewer) if viewer.dims.ndisplay == 3 else self._deep
+        return CameraView.of(viewer) if viewer.dims.ndisplay == 3 else self._deep
 
     def wait(self) -> None:
-        """Go back when the relief is removed; between 2-D and 3-D, show what is seen there."""
+        """Restore it when the relief is removed; between 2-D and 3-D, show what is seen there."""
         viewer = self._viewer()
         if viewer is not None:
             viewer.layers.events.removed.connect(self)
@@ -76,26 +76,26 @@ class WayBack:
         if viewer is None:
             return
         if relief is None or relief not in viewer.layers:
-            self.take()
+            self.restore()
         elif event.type == "ndisplay" and viewer.dims.ndisplay == 2:
             # napari is still busy with its axes: removing a layer now would break its sliders.
-            self._deep = View.of(viewer)
+            self._deep = CameraView.of(viewer)
             self._show_visible(viewer)
             self._go_to_plane(viewer)
         elif event.type == "ndisplay":
-            self._visible, self._flat = _visible(viewer), View.of(viewer)
+            self._visible, self._flat = _visible(viewer), CameraView.of(viewer)
             self._axes = viewer.dims.order, viewer.dims.point
             show_alone(viewer, relief)
             self._deep.restore(viewer)
 
-    def take(self) -> None:
-        """Go back, and take the relief away."""
+    def restore(self) -> None:
+        """Restore it, and take the relief away."""
         viewer, relief = self._viewer(), self.relief()
         if viewer is None:
             return
         viewer.layers.events.removed.disconnect(self)
         viewer.dims.events.ndisplay.disconnect(self)
-        was_shown, view = viewer.dims.ndisplay == 3, View.of(viewer)
+        was_shown, view = viewer.dims.ndisplay == 3, CameraView.of(viewer)
         if not was_shown:
             self._axes = viewer.dims.order, viewer.dims.point
         if relief in viewer.layers:
@@ -140,7 +140,7 @@ def show_alone(viewer: ViewerModel, relief: Surface) -> None:
         layer.visible = layer is relief
 
 
-def way_back(viewer: ViewerModel) -> WayBack | None:
-    """Return the way back from the relief that a viewer shows; None if it shows none."""
+def view_state(viewer: ViewerModel) -> ViewState | None:
+    """Return the state from before the relief that a viewer shows; None if it shows none."""
     waiting: list[Any] = viewer.layers.events.removed.callbacks
-    return next((callback for callback in waiting if isinstance(callback, WayBack)), None)
+    return next((callback for callback in waiting if isinstance(callback, ViewState)), None)

@@ -10,7 +10,7 @@ from napari.layers import Image
 from napari.types import LayerDataTuple
 from napari.utils.notifications import show_warning
 
-from napari_defocus.widgets.display.add_results import show_results
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.forms.run_panel import RunPanel, wrap
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.calibration import Calibration, numbers, planes_of
@@ -138,7 +138,7 @@ class CalibrateWidget(RunPanel):
 
     def _show_lens(self, results: list[LayerDataTuple]) -> None:
         selected = set(self._viewer.layers.selection)
-        show_results(self._viewer, results)
+        add_results(self._viewer, results)
         self._viewer.layers.selection = selected
         made = results[0][1]["metadata"][METADATA_KEY]
         scales = ", ".join(f"{scale:.2f}" for scale in made["scales"])

@@ -6,7 +6,7 @@ from magicgui.widgets import PushButton, Widget
 from napari.components import ViewerModel
 from napari.layers import Image
 
-from napari_defocus.widgets.display.add_results import showing_results
+from napari_defocus.widgets.display.add_results import add_results_stepwise
 from napari_defocus.widgets.docks.tools import Tools
 from napari_defocus.widgets.forms.depth_form import DepthForm
 from napari_defocus.widgets.forms.pages import Pages
@@ -152,9 +152,9 @@ class DefocusWidget(DefocusPanel):
 
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
-        said = self.depth.read_lens(self._shown_plane)
-        if said is not None:
-            self.status.value = said
+        description = self.depth.read_lens(self._shown_plane)
+        if description is not None:
+            self.status.value = description
 
     def _distances(self, plane: Plane) -> Distances:
         return self.depth.distances(plane, self._source(plane))
@@ -186,7 +186,7 @@ class DefocusWidget(DefocusPanel):
             return None
         self._live_labels.stop()
         return self._start(
-            lambda progress: work.run(self.kept, progress),
+            lambda progress: work.run(self.cache, progress),
             self._showing_made,
             [work.plane],
             f"Defocus of {work.plane.name}",
@@ -194,7 +194,7 @@ class DefocusWidget(DefocusPanel):
 
     def _showing_made(self, results: Results) -> Any:
         if self._still_current():
-            yield from showing_results(
+            yield from add_results_stepwise(
                 self._viewer, results.layers, keep_earlier=self.keep_earlier.value
             )
             self.status.value = results.summary

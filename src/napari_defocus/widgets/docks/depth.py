@@ -37,9 +37,9 @@ class DepthWidget(FromMapPanel):
 
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
-        said = self.depth.read_lens(self._shown_plane)
-        if said is not None:
-            self.status.value = said
+        description = self.depth.read_lens(self._shown_plane)
+        if description is not None:
+            self.status.value = description
 
     def work(self) -> Distances:
         """Return what the form asks for now, see `FromMapPanel.work`."""

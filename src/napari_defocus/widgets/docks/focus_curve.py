@@ -157,7 +157,7 @@ class FocusCurveWidget(RunPanel):
             self._again = False
             self.run()
         else:
-            self._tell()
+            self._describe_sharpest()
 
     def _on_layer_removed(self, event: Any) -> None:
         self._again = False
@@ -181,13 +181,13 @@ class FocusCurveWidget(RunPanel):
         axis = f"plane along {names[self.form.slider]}" if len(names) > 1 else "plane"
         self.plot.show_curve(curve.share_in_focus, curve.median_radius, axis)
         self._mark()
-        self._tell()
+        self._describe_sharpest()
 
     def _mark(self) -> None:
         planes = shown_planes(self.form.layer, self._viewer.dims)
         self.plot.mark(planes[self.form.slider])
 
-    def _tell(self) -> None:
+    def _describe_sharpest(self) -> None:
         """Say which plane is the sharpest."""
         curve = self._shown_curve()
         if curve is None:

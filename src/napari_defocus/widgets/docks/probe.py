@@ -96,7 +96,7 @@ class ProbeWidget(Container[Widget]):
         self.image.changed.connect(lambda _: self.refresh())
         self.outlined.changed.connect(lambda _: self.refresh())
         self.reset_choices()
-        self.set_image(image_to_probe(napari_viewer, ImagePanel.kept))
+        self.set_image(image_to_probe(napari_viewer, ImagePanel.cache))
 
     def _make_room_for_text(self) -> None:
         wrap(self.text)
@@ -157,7 +157,7 @@ class ProbeWidget(Container[Widget]):
         self._outline.remove()
 
     def _probed(self, position: tuple[float, ...]) -> Probed:
-        return probed(self._viewer, self.image.value, position, ImagePanel.kept)
+        return probed(self._viewer, self.image.value, position, ImagePanel.cache)
 
     def _show(self, found: Probed) -> None:
         self._curve.draw_explanation(found.explanation)

@@ -9,7 +9,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
 from napari_defocus.core.axes import CHOSEN_BY, known_axis
-from napari_defocus.widgets.display.add_results import showing_results
+from napari_defocus.widgets.display.add_results import add_results_stepwise
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.settings_form import SettingsForm, automatic_field, number_or_none
 from napari_defocus.widgets.forms.slider_number import SliderNumber
@@ -168,7 +168,7 @@ class SharpestPlaneWidget(ImagePanel):
         if wanted is None:
             return None
         return self._start(
-            partial(wanted.run, self.kept),
+            partial(wanted.run, self.cache),
             self._showing,
             [wanted.plane],
             f"Sharpest plane of {wanted.plane.name}",
@@ -177,7 +177,7 @@ class SharpestPlaneWidget(ImagePanel):
     def _showing(self, results: Results) -> Iterator[Layer]:
         if self._still_current():
             layers = []
-            for layer in showing_results(self._viewer, results.layers):
+            for layer in add_results_stepwise(self._viewer, results.layers):
                 layers.append(layer)
                 yield layer
             # The picture: what lies above it is hidden.

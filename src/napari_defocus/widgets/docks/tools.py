@@ -14,7 +14,7 @@ from napari_defocus import Settings
 from napari_defocus.settings import MaskSettings
 from napari_defocus.widgets.display.region_table import wanted_regions
 from napari_defocus.widgets.display.relief import hide_relief, show_made_relief, wanted_relief
-from napari_defocus.widgets.display.view_state import way_back
+from napari_defocus.widgets.display.view_state import view_state
 from napari_defocus.widgets.export.map_files import TIFF_ENDINGS, open_map, save_map, saving_failure
 from napari_defocus.widgets.export.script import script_of
 from napari_defocus.widgets.forms.workers import Run
@@ -111,7 +111,7 @@ class Tools:
 
     def refresh(self) -> None:
         """Let the buttons say what they do now."""
-        self.relief.text = _IN_2D if way_back(self._viewer) is not None else _IN_3D
+        self.relief.text = _IN_2D if view_state(self._viewer) is not None else _IN_3D
         image = self._panel.image.value
         self.curve.enabled = self.sharpest.enabled = image is not None and image.ndim > 2
 
@@ -153,7 +153,7 @@ class Tools:
 
     def toggle_3d(self) -> Run | None:
         """Show the picture as a relief, or what was seen before; return the run that makes it."""
-        if way_back(self._viewer) is not None:
+        if view_state(self._viewer) is not None:
             hide_relief(self._viewer)
             self.refresh()
             return None
@@ -181,7 +181,7 @@ class Tools:
 
         def show(measured: Any) -> None:
             wanted.show(self._viewer, measured)
-            self._panel.status.value = wanted.told(measured)
+            self._panel.status.value = wanted.description(measured)
             window = getattr(self._viewer, "window", None)
             if window is not None:
                 window.add_plugin_dock_widget("napari", FEATURES, tabify=True)
@@ -267,13 +267,13 @@ class Tools:
     def _take(self, settings: Settings) -> None:
         self._panel.settings.take(settings.map, settings.mask)
 
-    def _try(self, work: Callable[[], T], said: Callable[[T], str]) -> None:
+    def _try(self, work: Callable[[], T], description: Callable[[T], str]) -> None:
         try:
             done = work()
         except (OSError, ValueError, TypeError) as reason:
             show_error(saving_failure(reason))
         else:
-            self._panel.status.value = said(done)
+            self._panel.status.value = description(done)
 
     def _asked_to_save(self, suggested: str, kind: str) -> Path | None:
         chosen, _ = QFileDialog.getSaveFileName(self._panel.native, "Save", suggested, kind)

@@ -25,7 +25,7 @@ from napari_defocus.io.encoders import (
     values_in_tiff,
 )
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.export.stores import NotAMapError, copy_store, is_kept
+from napari_defocus.widgets.export.stores import NotAMapError, copy_store, is_stored
 from napari_defocus.widgets.layers.result_layers import COLOR_MAP, CONFIDENCE_COLOR_MAP
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
@@ -81,7 +81,7 @@ def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False)
         If the file cannot be written, or exists and `force` is not set.
     """
     data = layer.as_layer_data_tuple()
-    if is_kept(data):
+    if is_stored(data):
         return copy_store(data, Path(path), force=force)
     target = _named(Path(path), _result_of(data))
     write_results({target: _encoded(data)}, force=force)
@@ -112,7 +112,7 @@ def write_maps(path: str, layers: Sequence[LayerTuple]) -> list[str]:
     if len(layers) != 1:
         raise NotAMapError("A blur map is saved on its own. Choose its layer only.")
     [layer] = layers
-    if is_kept(layer):
+    if is_stored(layer):
         return [str(copy_store(layer, Path(path)))]
     target = _named(Path(path), _result_of(layer))
     # The dialog knows nothing of an ending that the name gets here.
@@ -260,8 +260,8 @@ def _made(description: dict[str, Any], result: str, path: Path) -> dict[str, Any
     if "layer" in description:
         return {key: description[key] for key in description["layer"]["metadata"]}
     # The terminal wrote it: its settings say the variance that was found, and a little more.
-    told = dict(description.get("settings", {}))
-    settings = {field.name: told[field.name] for field in fields(MapSettings) if field.name in told}
+    known = dict(description.get("settings", {}))
+    settings = {each.name: known[each.name] for each in fields(MapSettings) if each.name in known}
     if settings.get("shot_noise"):
         settings["noise_variance"] = None
     made = {
@@ -269,10 +269,10 @@ def _made(description: dict[str, Any], result: str, path: Path) -> dict[str, Any
         "result": result,
         "source": path.stem.removesuffix("-blur").removesuffix("-confidence"),
         "settings": settings,
-        "noise_variance": told.get("noise_variance"),
+        "noise_variance": known.get("noise_variance"),
     }
     made |= {"scale": description["scale"]} if "scale" in description else {}
-    return made | {key: told[key] for key in ("min_confidence",) if key in told}
+    return made | {key: known[key] for key in ("min_confidence",) if key in known}
 
 
 def _usual_name(made: dict[str, Any], result: str) -> str:

@@ -134,8 +134,8 @@ def _imports(script: str) -> str:
     public = sorted(used & {*napari_defocus.__all__})
     block = "\n".join(["(", *(f"    {name}," for name in public), ")"])
     lines = _IMPORTS.splitlines()
-    kept = [line for line in lines if not line or line.split()[-1] in {*used, "PUBLIC"}]
-    return "\n".join(kept).replace("PUBLIC", block)
+    needed = [line for line in lines if not line or line.split()[-1] in {*used, "PUBLIC"}]
+    return "\n".join(needed).replace("PUBLIC", block)
 
 
 def _call(target: str, function: str, *arguments: str, **keywords: str) -> str:

@@ -24,7 +24,7 @@ def is_zarr_name(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".zarr"
 
 
-def is_kept(layer: tuple[Any, dict[str, Any], str]) -> bool:
+def is_stored(layer: tuple[Any, dict[str, Any], str]) -> bool:
     """Return whether a layer, given as a tuple, is a result of ours that is kept on the disk."""
     made = layer[1].get("metadata", {}).get(METADATA_KEY)
     return isinstance(made, dict) and STORE in made
@@ -99,7 +99,7 @@ def write_store(path: str, layers: Sequence[tuple[Any, dict[str, Any], str]]) ->
     if len(layers) != 1:
         raise NotAMapError("A large result is saved on its own. Choose its layer only.")
     [layer] = layers
-    if not is_kept(layer):
+    if not is_stored(layer):
         raise NotAMapError(
             f"“{layer[1].get('name')}” is no large result of this plugin. Save it as another "
             "file type, such as .tif."

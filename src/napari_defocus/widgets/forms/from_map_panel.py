@@ -9,11 +9,11 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
 from napari_defocus.core.progress import Progress
-from napari_defocus.widgets.display.add_results import showing_results
+from napari_defocus.widgets.display.add_results import add_results_stepwise
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.settings_form import SettingsForm
 from napari_defocus.widgets.forms.workers import Run
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.map_source import (
     EstimatedSource,
     MapSource,
@@ -34,7 +34,7 @@ class Work(Protocol):
     def plane(self) -> Plane:
         """What it is made of."""
 
-    def run(self, kept: KeptWork, progress: Progress) -> Results:
+    def run(self, cache: JobCache, progress: Progress) -> Results:
         """Make it."""
 
 
@@ -167,7 +167,7 @@ class FromMapPanel(ImagePanel):
 
     def _start_on(self, work: Work) -> Run:
         return self._start(
-            partial(work.run, self.kept),
+            partial(work.run, self.cache),
             self._show_results,
             [work.plane],
             f"{self.run_button.text}: {work.plane.name}",
@@ -175,5 +175,5 @@ class FromMapPanel(ImagePanel):
 
     def _show_results(self, results: Results) -> Iterator[Layer]:
         if self._still_current():
-            yield from showing_results(self._viewer, results.layers)
+            yield from add_results_stepwise(self._viewer, results.layers)
             self.status.value = results.summary

@@ -13,7 +13,7 @@ from napari.utils.notifications import show_info, show_warning
 from napari_defocus.widgets.display.add_results import prepare_napari
 from napari_defocus.widgets.forms.region_field import RegionField
 from napari_defocus.widgets.forms.run_panel import RunPanel
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, shown_plane
 from napari_defocus.widgets.layers.result_metadata import MEASURED_PSF, METADATA_KEY, made_by_us
 
@@ -42,11 +42,11 @@ class ImagePanel(RunPanel):
         The image layer.
     region : RegionField
         What part of it.
-    kept : KeptWork
+    cache : JobCache
         Shared by all widgets: the mask reuses what the map has found.
     """
 
-    kept: ClassVar[KeptWork] = KeptWork()
+    cache: ClassVar[JobCache] = JobCache()
 
     def __init__(self, napari_viewer: ViewerModel, *, action: str) -> None:
         super().__init__(napari_viewer, action=action)

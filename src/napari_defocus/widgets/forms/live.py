@@ -9,8 +9,7 @@ from qtpy.QtCore import QObject, QTimer
 from napari_defocus.core.progress import Progress
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.analysis import Analysis
-from napari_defocus.widgets.jobs.cache import KeptWork
-from napari_defocus.widgets.jobs.estimation import Analysed
+from napari_defocus.widgets.jobs.estimation import Analysed, JobCache
 
 SOON = 30
 """Milliseconds in which further changes are waited for."""
@@ -27,7 +26,7 @@ class LiveLabels(QObject):
 
     Parameters
     ----------
-    kept : KeptWork
+    cache : JobCache
     take : callable
         Gets the layers, what was analysed and how, and whether they are all that is wanted: a
         preview is not.
@@ -37,12 +36,12 @@ class LiveLabels(QObject):
 
     def __init__(
         self,
-        kept: KeptWork,
+        cache: JobCache,
         take: Callable[[list[LayerDataTuple], Analysed, Analysis, bool], None],
         parent: QObject,
     ) -> None:
         super().__init__(parent)
-        self._kept = kept
+        self._cache = cache
         self._take = take
         self._wanted: tuple[Analysed, Analysis] | None = None
         self._wish = 0
@@ -109,7 +108,7 @@ class LiveLabels(QObject):
         self._result = self._start(
             analysed,
             analysis,
-            lambda progress: analysis.labelled(analysed, self._kept, progress),
+            lambda progress: analysis.labelled(analysed, self._cache, progress),
             whole=True,
         )
 

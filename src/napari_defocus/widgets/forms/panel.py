@@ -15,7 +15,7 @@ from qtpy.QtCore import QTimer
 
 from napari_defocus import PSFEvidence
 from napari_defocus.settings import CONFIDENT
-from napari_defocus.widgets.display.add_results import show_results, showing_results
+from napari_defocus.widgets.display.add_results import add_results, add_results_stepwise
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.lens_comparison import LensComparison
 from napari_defocus.widgets.forms.live import LiveLabels
@@ -46,7 +46,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     Results,
     layer_of_result,
     made_by_us,
-    told_of_noise,
+    noise_description,
 )
 from napari_defocus.widgets.layers.seeds import Seeds, SeedsWatch, add_seeds_layer, shown_seeds
 
@@ -139,7 +139,7 @@ class DefocusPanel(ImagePanel):
         # napari may tell of a stroke before it is on the layer.
         self._seeds_watch = SeedsWatch(lambda: QTimer.singleShot(0, lambda: self._on_stroke()))
         self.seeds.changed.connect(lambda layer: self._on_seeds(layer))
-        self._live_labels = LiveLabels(self.kept, self._show_live, self.native)
+        self._live_labels = LiveLabels(self.cache, self._show_live, self.native)
         for choice in (self.image, self.region, self.planes):
             choice.changed.connect(lambda _: self._show_keep_in())
         self._choose_active()
@@ -252,7 +252,7 @@ class DefocusPanel(ImagePanel):
             analysis = self.analysis()
         except ValueError:
             return  # somebody is still typing
-        analysed = self.kept.analysed.latest(self.image.value)
+        analysed = self.cache.analysed.latest(self.image.value)
         if analysed is None or not analysis.fits(analysed):
             self._ask_to_run(ask)
             return
@@ -294,7 +294,7 @@ class DefocusPanel(ImagePanel):
             return self._show_results(results, analysis, whole, keep)
 
         return self._start(
-            partial(analysis.run, self.kept),
+            partial(analysis.run, self.cache),
             lambda results: take(results, whole=True),
             [analysis.plane],
             f"Defocus of {analysis.plane.name}",
@@ -309,7 +309,7 @@ class DefocusPanel(ImagePanel):
         self._live_labels.stop()
         keep = self.keep_earlier.value
         return self._start(
-            partial(analysis.run, self.kept),
+            partial(analysis.run, self.cache),
             lambda results: self._show_stack(results, analysis, keep),
             [analysis.plane],
             f"Defocus of {'all planes of ' * self.planes.all_planes}{analysis.plane.name}",
@@ -324,7 +324,7 @@ class DefocusPanel(ImagePanel):
         self._on_min_confidence(self.settings.min_confidence.value)
         self._choose_first(results.layers)
         self._last_word = self.status.value = results.summary
-        analysed = self.kept.analysed.latest(self.image.value)
+        analysed = self.cache.analysed.latest(self.image.value)
         if analysed is not None and isinstance(analysis, StackAnalysis):
             # The plane that was shown can follow the sliders.
             self._shown.note(analysed, analysis.of_plane(analysis.plane))
@@ -372,7 +372,7 @@ class DefocusPanel(ImagePanel):
     def _show_results(
         self, results: list[LayerDataTuple], analysis: Analysis, whole: bool, keep_earlier: bool
     ) -> Iterator[Layer]:
-        analysed = self.kept.analysed.latest(self.image.value)
+        analysed = self.cache.analysed.latest(self.image.value)
         if analysed is None or not self._still_current():
             return
         before = set(self._viewer.layers)
@@ -422,7 +422,7 @@ class DefocusPanel(ImagePanel):
         """Show results; whoever paints seeds goes on painting on their layer."""
         selection = self._viewer.layers.selection
         painted = selection.active
-        for layer in showing_results(self._viewer, results, keep_earlier=keep_earlier):
+        for layer in add_results_stepwise(self._viewer, results, keep_earlier=keep_earlier):
             # Other widgets hide the map that they make on the way.
             if made_by_us(layer) == BLUR_MAP and not layer.visible:
                 layer.visible = True
@@ -449,12 +449,12 @@ class DefocusPanel(ImagePanel):
         if confidence is None or (covered is None and min_confidence == 0):
             return
         cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
-        show_results(self._viewer, [cover])
+        add_results(self._viewer, [cover])
 
 
 def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
     made = results[-1][1]["metadata"][METADATA_KEY]
-    lines = [told_of_noise(made["settings"]["noise_variance"], [made["noise_variance"]])]
+    lines = [noise_description(made["settings"]["noise_variance"], [made["noise_variance"]])]
     if confidence is not None:
         share = (confidence >= CONFIDENT).mean()
         lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")

@@ -96,8 +96,8 @@ class Run(QObject):
         self._function = partial(function, preview=self._made.emit) if previews else function
         self._description = description
         self.bar: _ProgressBar | None = None
-        self._is_told = False
-        self._told = -BAR_INTERVAL
+        self._is_updating_bar = False
+        self._bar_updated = -BAR_INTERVAL
         self._holds = 0
         self._has_ended = False
         self._last_report = ("", 0.0)
@@ -162,13 +162,13 @@ class Run(QObject):
             return
         self.progressed.emit(step, done)
         now = time.monotonic()
-        if self.bar is None or self._is_told or now - self._told < BAR_INTERVAL:
+        if self.bar is None or self._is_updating_bar or now - self._bar_updated < BAR_INTERVAL:
             return
         # The bar lets Qt handle events: the next report may come within either call, or the end.
-        self._is_told, self._told = True, now
+        self._is_updating_bar, self._bar_updated = True, now
         self.bar.set_description(step)
         self.bar.update(round(STEPS * done) - self.bar.n)
-        self._is_told = False
+        self._is_updating_bar = False
 
     def _on_made(self, value: object) -> None:
         if not self.is_cancelled:

@@ -14,10 +14,10 @@ from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.psf.text import psf_of
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
-from napari_defocus.widgets.jobs.cache import KeptWork
 from napari_defocus.widgets.jobs.estimation import (
     ESTIMATION_SHARE,
     Analysed,
+    JobCache,
     Picture,
     analysed_picture,
     estimated_map,
@@ -73,13 +73,13 @@ class Analysis:
             check_threshold(self.mask.threshold, family.max_scale)
 
     def run(
-        self, kept: KeptWork, progress: Progress = silent, preview: Preview | None = None
+        self, cache: JobCache, progress: Progress = silent, preview: Preview | None = None
     ) -> list[LayerDataTuple]:
         """Return the wanted result layers.
 
         Parameters
         ----------
-        kept : KeptWork
+        cache : JobCache
             What earlier runs have found; what this one finds is added.
         progress : callable, optional
             See `napari_defocus.core.progress`.
@@ -89,14 +89,14 @@ class Analysis:
         progress("Reading the picture", 0.0)
         picture = Picture.of(self.plane)
         estimating = within(progress, 0.0, ESTIMATION_SHARE)
-        analysed = analysed_picture(picture, self.estimation, kept, estimating)
+        analysed = analysed_picture(picture, self.estimation, cache, estimating)
         if preview is not None and analysed.is_large:
             there = within(progress, ESTIMATION_SHARE, ESTIMATION_SHARE)
             preview(self.preview(analysed, there))
-        return self.labelled(analysed, kept, within(progress, ESTIMATION_SHARE, 1.0))
+        return self.labelled(analysed, cache, within(progress, ESTIMATION_SHARE, 1.0))
 
     def labelled(
-        self, analysed: Analysed, kept: KeptWork, progress: Progress = silent
+        self, analysed: Analysed, cache: JobCache, progress: Progress = silent
     ) -> list[LayerDataTuple]:
         """Return the wanted result layers of a plane whose candidates are known."""
         steps = [self._map_layers] * self.blur_map + [self._mask_layers] * (self.mask is not None)
@@ -104,7 +104,7 @@ class Analysis:
             layer
             for n, step in enumerate(steps)
             for layer in step(
-                analysed, kept, within(progress, n / len(steps), (n + 1) / len(steps))
+                analysed, cache, within(progress, n / len(steps), (n + 1) / len(steps))
             )
         ]
 
@@ -145,9 +145,9 @@ class Analysis:
         return self.seeds.values if self.seeds else None
 
     def _map_layers(
-        self, analysed: Analysed, kept: KeptWork, progress: Progress
+        self, analysed: Analysed, cache: JobCache, progress: Progress
     ) -> list[LayerDataTuple]:
-        found = estimated_map(analysed.picture, self.estimation, kept, progress)
+        found = estimated_map(analysed.picture, self.estimation, cache, progress)
         used = self.estimation, found.noise_variance
         # Copies: what somebody paints on a layer is not kept.
         more = found.psf, found.intensities
@@ -158,7 +158,7 @@ class Analysis:
         return layers
 
     def _mask_layers(
-        self, analysed: Analysed, kept: KeptWork, progress: Progress
+        self, analysed: Analysed, cache: JobCache, progress: Progress
     ) -> list[LayerDataTuple]:
         assert self.mask is not None
         return [self._mask_layer(analysed, segmented(analysed, self.mask, self._seeds, progress))]

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from napari_defocus.core.checks import Side, check_confidence
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.settings import CONFIDENT
-from napari_defocus.widgets.jobs.cache import KeptWork
-from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import DEPTH, DEPTH_SURFACE, Results, provenance
@@ -73,19 +72,19 @@ class Distances:
                 "it, or give another focus distance."
             )
 
-    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+    def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the distances as a layer, after those of the map if it was estimated.
 
         Parameters
         ----------
-        kept : KeptWork
+        cache : JobCache
             What earlier runs have found; what this one finds is added.
         progress : callable, optional
             See `napari_defocus.core.progress`.
         """
         picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
-        blur_map = self.source.read(picture, kept, within(progress, 0.0, _MAP_SHARE))
+        blur_map = self.source.read(picture, cache, within(progress, 0.0, _MAP_SHARE))
         progress("From blur to distance", _MAP_SHARE)
         depth = self._depth(blur_map)
         layers, lines = [self._depth_layer(depth, blur_map)], [_summary(depth)]

@@ -1,4 +1,4 @@
-"""Candidates and blur map of a plane, kept between runs: no Qt, any thread."""
+"""Candidates and blur map of a plane, cached between runs: no Qt, any thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.jobs.cache import KeptWork, fingerprint
+from napari_defocus.widgets.jobs.cache import LayerCache, fingerprint
 from napari_defocus.widgets.layers.image_layers import Plane
 
 if TYPE_CHECKING:
@@ -168,15 +168,33 @@ class Analysed:
             return call((self.candidates, self.picture.image, None))
 
 
+class JobCache:
+    """What all widgets have found, and use again: none does what another has done.
+
+    Attributes
+    ----------
+    maps : LayerCache of EstimatedMap
+    restored : LayerCache of float32 ndarray
+        All-in-focus pictures.
+    analysed : LayerCache of Analysed
+        The candidates, and all else that is known of the plane that was analysed last.
+    """
+
+    def __init__(self) -> None:
+        self.maps: LayerCache[EstimatedMap] = LayerCache()
+        self.restored: LayerCache[NDArray[np.float32]] = LayerCache()
+        self.analysed: LayerCache[Analysed] = LayerCache()
+
+
 def analysed_picture(
-    picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
+    picture: Picture, settings: MapSettings, cache: JobCache, progress: Progress
 ) -> Analysed:
     """Return the candidates of a picture: those of an earlier run, if nothing has changed."""
     layer, key = picture.plane.layer, _candidates_key(picture, settings)
-    found = kept.analysed.known(layer, key)
+    found = cache.analysed.known(layer, key)
     if found is None:
         found = Analysed(picture, settings, _candidates(picture, settings, progress))
-        kept.analysed.keep(layer(), key, found)
+        cache.analysed.put(layer(), key, found)
     return found
 
 
@@ -223,21 +241,21 @@ def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
 
 
 def estimated_map(
-    picture: Picture, settings: MapSettings, kept: KeptWork, progress: Progress
+    picture: Picture, settings: MapSettings, cache: JobCache, progress: Progress
 ) -> EstimatedMap:
     """Return the blur map of a picture: that of an earlier run, if nothing has changed."""
     layer, candidates_key = picture.plane.layer, _candidates_key(picture, settings)
 
     def estimate() -> EstimatedMap:
-        share = 0.0 if kept.analysed.known(layer, candidates_key) else ESTIMATION_SHARE
-        analysed = analysed_picture(picture, settings, kept, within(progress, 0.0, share))
+        share = 0.0 if cache.analysed.known(layer, candidates_key) else ESTIMATION_SHARE
+        analysed = analysed_picture(picture, settings, cache, within(progress, 0.0, share))
         return _labelled_map(analysed, settings, within(progress, share, 1.0))
 
-    found = kept.maps.get(layer, _key(picture, settings), estimate)
-    analysed = kept.analysed.known(layer, candidates_key)
+    found = cache.maps.get(layer, _key(picture, settings), estimate)
+    analysed = cache.analysed.known(layer, candidates_key)
     if analysed is not None:
         analysed = replace(analysed, settings=settings, blur_map=found)
-        kept.analysed.keep(layer(), candidates_key, analysed)
+        cache.analysed.put(layer(), candidates_key, analysed)
     return found
 
 
@@ -264,9 +282,9 @@ def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress)
     return EstimatedMap(values, safe, sure, *used)
 
 
-def known_map(picture: Picture, settings: MapSettings, kept: KeptWork) -> EstimatedMap | None:
+def known_map(picture: Picture, settings: MapSettings, cache: JobCache) -> EstimatedMap | None:
     """Return the blur map of a picture if an earlier run has estimated it."""
-    return kept.maps.known(picture.plane.layer, _key(picture, settings))
+    return cache.maps.known(picture.plane.layer, _key(picture, settings))
 
 
 def _key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:

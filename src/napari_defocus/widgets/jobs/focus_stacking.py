@@ -15,7 +15,7 @@ from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.settings import CONFIDENT, MapSettings
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import as_dask
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, check_pixels
 from napari_defocus.widgets.layers.result_metadata import (
@@ -61,13 +61,13 @@ class BestFocus:
 
     >>> import numpy as np
     >>> from napari.components import ViewerModel
-    >>> from napari_defocus.widgets.jobs.cache import KeptWork
+    >>> from napari_defocus.widgets.jobs.estimation import JobCache
     >>> from napari_defocus.widgets.layers.image_layers import shown_plane
-    >>> from napari_defocus.widgets.display.add_results import show_results
+    >>> from napari_defocus.widgets.display.add_results import add_results
     >>> viewer = ViewerModel()
     >>> stack = viewer.add_image(np.random.default_rng(0).random((3, 60, 70)), name="sweep")
     >>> wanted = BestFocus(plane=shown_plane(stack, viewer.dims), axis=0, settings=MapSettings())
-    >>> [layer.name for layer in show_results(viewer, wanted.run(KeptWork()).layers)]
+    >>> [layer.name for layer in add_results(viewer, wanted.run(JobCache()).layers)]
     ['sweep sharpest', 'sweep best focus (plane)', 'sweep best focus confidence']
     """
 
@@ -101,12 +101,12 @@ class BestFocus:
         """How many planes are compared."""
         return int(self.plane.data.shape[self.axis])
 
-    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+    def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the picture, the positions and their confidence as layers.
 
         Parameters
         ----------
-        kept : KeptWork
+        cache : JobCache
             Nothing is added.
         progress : callable, optional
             See `napari_defocus.core.progress`.

@@ -16,8 +16,8 @@ from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
-from napari_defocus.widgets.jobs.cache import KeptWork
-from napari_defocus.widgets.jobs.tiled_job import PartByPart, measure_into
+from napari_defocus.widgets.jobs.estimation import JobCache
+from napari_defocus.widgets.jobs.tiled_job import TiledJob, measure_into
 from napari_defocus.widgets.layers.image_layers import LARGEST_IN_MEMORY, Plane
 from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
@@ -31,7 +31,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     PLANES,
     Results,
-    told_of_noise,
+    noise_description,
 )
 from napari_defocus.widgets.layers.result_stores import (
     UNTIL_CLOSED,
@@ -72,13 +72,13 @@ class LargeAnalysis:
 
     >>> import numpy as np
     >>> from napari.components import ViewerModel
-    >>> from napari_defocus.widgets.jobs.cache import KeptWork
+    >>> from napari_defocus.widgets.jobs.estimation import JobCache
     >>> from napari_defocus.widgets.layers.image_layers import shown_plane
-    >>> from napari_defocus.widgets.display.add_results import show_results
+    >>> from napari_defocus.widgets.display.add_results import add_results
     >>> viewer = ViewerModel()
     >>> slide = viewer.add_image(np.random.default_rng(0).random((80, 90)), name="slide")
     >>> wanted = LargeAnalysis(plane=shown_plane(slide, viewer.dims), estimation=MapSettings())
-    >>> layers = show_results(viewer, wanted.run(KeptWork()).layers)
+    >>> layers = add_results(viewer, wanted.run(JobCache()).layers)
     >>> [layer.name for layer in layers]
     ['slide blur (px)', 'slide confidence']
     """
@@ -102,12 +102,12 @@ class LargeAnalysis:
         sizes = [np.dtype(_DTYPES[name]).itemsize for name in self._wanted()]
         self.place.check_room(int(_WITH_PYRAMID * pixels * sum(sizes)))
 
-    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+    def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the wanted results as lazy layers that lie on the picture.
 
         Parameters
         ----------
-        kept : KeptWork
+        cache : JobCache
             Nothing is added: candidates of large pictures are not kept.
         progress : callable, optional
             See `napari_defocus.core.progress`. After an exception from it, nothing is left of the
@@ -135,10 +135,10 @@ class LargeAnalysis:
         }
         return [name for name, is_wanted in wanted.items() if is_wanted]
 
-    def _work(self) -> PartByPart:
+    def _work(self) -> TiledJob:
         plane, letters = self.plane, self._letters()
         image = plane.data[self._index()]
-        return PartByPart(
+        return TiledJob(
             image=Carried(image),
             axes=letters + "s" * (image.ndim - len(letters)),
             estimation=self.estimation,
@@ -238,13 +238,13 @@ class LargeAnalysis:
 
     def _summary(self, noise: NDArray[np.float64], layers: list[LayerDataTuple]) -> str:
         lines = [f"{noise.size} planes"] * (noise.size > 1)
-        lines.append(told_of_noise(self.estimation.noise_variance, noise.ravel()))
+        lines.append(noise_description(self.estimation.noise_variance, noise.ravel()))
         if self.blur_map and self.confidence:
             data, keywords, _ = layers[1]
             smallest = data[-1] if keywords.get("multiscale") else data
             share = (np.asarray(smallest) >= CONFIDENT).mean()
             lines.append(f"Confidence {CONFIDENT:g} or more on about {share:.0%}")
-        return "\n".join([*lines, self.place.told()])
+        return "\n".join([*lines, self.place.lifetime_text()])
 
 
 def is_large(plane: Plane) -> bool:

@@ -19,8 +19,13 @@ from napari_defocus.core.progress import Progress
 from napari_defocus.psf.families import radius_per_scale
 from napari_defocus.psf.text import psf_of
 from napari_defocus.settings import MapSettings
-from napari_defocus.widgets.jobs.cache import KeptWork
-from napari_defocus.widgets.jobs.estimation import LARGEST_RADIUS, Picture, estimated_map, known_map
+from napari_defocus.widgets.jobs.estimation import (
+    LARGEST_RADIUS,
+    JobCache,
+    Picture,
+    estimated_map,
+    known_map,
+)
 from napari_defocus.widgets.layers.alignment import lies_on, same_part
 from napari_defocus.widgets.layers.image_layers import (
     NotAnalysableError,
@@ -96,7 +101,7 @@ class BlurMap:
 class MapSource(Protocol):
     """Where a blur map comes from."""
 
-    def read(self, picture: Picture, kept: KeptWork, progress: Progress) -> BlurMap:
+    def read(self, picture: Picture, cache: JobCache, progress: Progress) -> BlurMap:
         """Return the blur map of a picture."""
 
     def described(self) -> dict[str, Any]:
@@ -118,9 +123,9 @@ class EstimatedSource:
         """Refuse impossible settings before any work is done with them."""
         self.settings.family()
 
-    def read(self, picture: Picture, kept: KeptWork, progress: Progress) -> BlurMap:
+    def read(self, picture: Picture, cache: JobCache, progress: Progress) -> BlurMap:
         """Return the blur map of a picture, that of an earlier run if nothing has changed."""
-        found = estimated_map(picture, self.settings, kept, progress)
+        found = estimated_map(picture, self.settings, cache, progress)
         made_with = self.settings, found.noise_variance
         # Copies: what somebody paints on a layer is not kept.
         more = found.psf, found.intensities
@@ -170,7 +175,7 @@ class LayerSource:
         """Refuse a lens that cannot be before any work is done with it."""
         psf_of(self.psf, self.max_radius)
 
-    def read(self, picture: Picture, kept: KeptWork, progress: Progress) -> BlurMap:
+    def read(self, picture: Picture, cache: JobCache, progress: Progress) -> BlurMap:
         """Return the map that the layer holds now."""
         values = np.asarray(self.plane.values(), np.float32)
         known = values[~np.isnan(values)]
@@ -186,12 +191,12 @@ class LayerSource:
             values=values,
             psf=self._family(float(known.max())),
             confidence=confidence,
-            safe=self._safe(picture, values, kept),
+            safe=self._safe(picture, values, cache),
         )
 
-    def _safe(self, picture: Picture, values: Float32, kept: KeptWork) -> Float32 | None:
+    def _safe(self, picture: Picture, values: Float32, cache: JobCache) -> Float32 | None:
         """Return what is safe to take away, if this is the map that an earlier run has made."""
-        found = self.made_with and known_map(picture, self.made_with, kept)
+        found = self.made_with and known_map(picture, self.made_with, cache)
         return found.safe if found and np.array_equal(found.values, values) else None
 
     def _family(self, largest: float) -> PSFFamily:

@@ -13,16 +13,16 @@ from napari_defocus.core.checks import Linearize
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.settings import CONFIDENT, RefocusSettings, RestorationSettings
-from napari_defocus.widgets.jobs.cache import KeptWork, fingerprint
-from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.jobs.cache import fingerprint
+from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import (
     ALL_IN_FOCUS,
     REFOCUSED,
     Results,
+    noise_description,
     provenance,
-    told_of_noise,
 )
 
 Float32 = NDArray[np.float32]
@@ -57,27 +57,27 @@ class Restoration:
     linearize: Linearize | None = None
     protect: bool = True
 
-    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+    def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the all-in-focus picture as a layer, after those of its map if it was estimated.
 
         Parameters
         ----------
-        kept : KeptWork
+        cache : JobCache
             What earlier runs have found; what this one finds is added.
         progress : callable, optional
             See `napari_defocus.core.progress`.
         """
-        made = self.made(kept, progress)
+        made = self.made(cache, progress)
         layer = _picture_layer(self, made, made.sharp, ALL_IN_FOCUS)
         return Results([*made.blur_map.layers, layer], self.summary(made))
 
-    def made(self, kept: KeptWork, progress: Progress) -> Restored:
+    def made(self, cache: JobCache, progress: Progress) -> Restored:
         """Return the restored picture: that of an earlier run, if nothing has changed."""
         from napari_defocus import estimate_noise_variance, restore_all_in_focus
 
         picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
-        blur_map = self.source.read(picture, kept, within(progress, 0.0, _MAP_SHARE))
+        blur_map = self.source.read(picture, cache, within(progress, 0.0, _MAP_SHARE))
         values = blur_map.checked_for_restoration()
         confidence = blur_map.confidence if self.protect else None
         if self.protect and blur_map.safe is not None:
@@ -106,12 +106,12 @@ class Restoration:
                 progress=within(progress, _MAP_SHARE, 1.0),
             )
 
-        sharp = kept.restored.get(self.plane.layer, key, restore)
+        sharp = cache.restored.get(self.plane.layer, key, restore)
         return Restored(picture, blur_map, sharp, noise_variance)
 
     def summary(self, made: Restored) -> str:
         """Return what there is to say about what was made."""
-        lines = [told_of_noise(self.settings.noise_variance, [made.noise_variance])]
+        lines = [noise_description(self.settings.noise_variance, [made.noise_variance])]
         confidence = made.blur_map.confidence
         if confidence is not None:
             share = (confidence >= CONFIDENT).mean()
@@ -161,12 +161,12 @@ class Refocusing:
         """What it is made of."""
         return self.restoration.plane
 
-    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+    def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the picture as a layer, after those of its map if it was estimated.
 
         Parameters
         ----------
-        kept : KeptWork
+        cache : JobCache
             What earlier runs have found; what this one finds is added. With another view
             of the same restored picture, that one is only blurred again.
         progress : callable, optional
@@ -174,7 +174,7 @@ class Refocusing:
         """
         from napari_defocus import change_focus
 
-        made = self.restoration.made(kept, within(progress, 0.0, _RESTORED))
+        made = self.restoration.made(cache, within(progress, 0.0, _RESTORED))
         progress("Blurring again", _RESTORED)
         seen = made.picture.call(
             change_focus,

@@ -16,7 +16,7 @@ from napari_defocus.core.progress import Progress, silent
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.analysis import Analysis
-from napari_defocus.widgets.jobs.cache import KeptWork
+from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
@@ -25,13 +25,13 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     PLANES,
     Results,
-    told_of_noise,
+    noise_description,
 )
 from napari_defocus.widgets.layers.result_stores import (
     UNTIL_CLOSED,
     Place,
+    disk_errors_refused,
     letters_of,
-    said_to_users,
     whole_or_gone,
 )
 from napari_defocus.widgets.layers.seeds import seeds_of_plane
@@ -103,7 +103,7 @@ class StackAnalysis:
         """Return where the planes are along the axes that are not displayed, in order."""
         return product(*(range(self.plane.data.shape[axis]) for axis in self.plane.sliders))
 
-    def run(self, kept: KeptWork, progress: Progress = silent) -> Results:
+    def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the wanted results as layers that lie on the stack.
 
         A plane that cannot be analysed is NaN in the map and 0 in the mask and the confidence;
@@ -111,7 +111,7 @@ class StackAnalysis:
 
         Parameters
         ----------
-        kept : KeptWork
+        cache : JobCache
             What earlier runs have found; what this one finds of `plane` is added, and of no
             other plane.
         progress : callable, optional
@@ -124,21 +124,21 @@ class StackAnalysis:
         """
         if not self.is_large:
             return self._analysed(
-                {name: self._empty(name) for name in self._dtypes()}, kept, progress
+                {name: self._empty(name) for name in self._dtypes()}, cache, progress
             )
         writers: dict[str, OmeZarrWriter] = {}
-        with whole_or_gone(writers), said_to_users():
+        with whole_or_gone(writers), disk_errors_refused():
             for name in self._dtypes():
                 writers[name] = self._new_store(name)
-            return self._analysed(writers, kept, progress)
+            return self._analysed(writers, cache, progress)
 
-    def _analysed(self, values: Mapping[str, Any], kept: KeptWork, progress: Progress) -> Results:
+    def _analysed(self, values: Mapping[str, Any], cache: JobCache, progress: Progress) -> Results:
         found = _Found(values)
         positions = list(self.positions())
         for number, position in enumerate(positions):
             plane = self.plane.at_position(position)
             # Candidates of one plane may be as large as the results of many.
-            memory = kept if plane == self.plane else KeptWork()
+            memory = cache if plane == self.plane else JobCache()
             reported = _of_one(progress, number, len(positions))
             reported("Reading the picture", 0.0)
             try:
@@ -193,7 +193,7 @@ class StackAnalysis:
         first = self.plane.at_position(next(self.positions()))
         of_all = {
             "noise_variance": float(np.median(list(found.noise_variances.values()))),
-            PLANES: self._told_of_planes(found),
+            PLANES: self._about_planes(found),
         }
         layers = []
         for result, (keywords, kind) in found.looks.items():
@@ -208,7 +208,7 @@ class StackAnalysis:
             layers.append(layer)
         return layers
 
-    def _told_of_planes(self, found: _Found) -> dict[str, Any]:
+    def _about_planes(self, found: _Found) -> dict[str, Any]:
         return {
             "axes": self.plane.sliders,
             "noise_variances": [found.noise_variances.get(at) for at in self.positions()],
@@ -219,13 +219,13 @@ class StackAnalysis:
     def _summary(self, found: _Found) -> str:
         variances = list(found.noise_variances.values())
         count = len(variances)
-        noise = told_of_noise(self.estimation.noise_variance, variances)
+        noise = noise_description(self.estimation.noise_variance, variances)
         lines = [f"{count} plane{'s' * (count != 1)}", noise]
         if CONFIDENCE in found.values:
             share = found.share_sure()
             lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
-        kept = [self.place.told()] * self.is_large
-        return "\n".join([*lines, *found.told_refused(), *kept])
+        where = [self.place.lifetime_text()] * self.is_large
+        return "\n".join([*lines, *found.refusals(), *where])
 
 
 def may_be_large(plane: Plane, *, blur_map: bool, mask: bool) -> bool:
@@ -284,7 +284,7 @@ class _Found:
         """Return the share of the analysed pixels whose confidence is high."""
         return float(np.mean(self.sure))
 
-    def told_refused(self) -> list[str]:
+    def refusals(self) -> list[str]:
         """Return a line for every reason why planes were not analysed."""
         planes_of: dict[str, list[str]] = {}
         for position, reason in self.refused.items():

@@ -18,7 +18,7 @@ from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 _NOISE_SHARE, _WRITTEN_SHARE = 0.04, 0.97
-_TOLD_FROM = 0.05
+_ESTIMATED_FROM = 0.05
 """How much of the work must be done before the time that is left is told."""
 
 _THREADS = 2
@@ -26,7 +26,7 @@ _THREADS = 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PartByPart:
+class TiledJob:
     """What is measured of planes that are too large for memory.
 
     Attributes
@@ -55,13 +55,13 @@ class PartByPart:
 
 
 def measure_into(
-    work: PartByPart, writers: dict[str, OmeZarrWriter], *, progress: Progress
+    work: TiledJob, writers: dict[str, OmeZarrWriter], *, progress: Progress
 ) -> tuple[NDArray[np.float64], list[Intensities]]:
     """Measure planes part by part into stores, and finish these.
 
     Parameters
     ----------
-    work : PartByPart
+    work : TiledJob
     writers : dict of str to OmeZarrWriter
         New stores (..., H, W) for "blur_map", "confidence" and "mask", as far as they are wanted.
     progress : callable
@@ -83,12 +83,12 @@ def measure_into(
         candidates = _candidates(work, progress)
         candidates = candidates.with_noise(within(progress, 0.0, _NOISE_SHARE))
         found = _found(work, candidates)
-        told = with_time_left(within(progress, _NOISE_SHARE, _WRITTEN_SHARE))
-        store({name: found[name] for name in writers}, writers, told)
+        timed = with_time_left(within(progress, _NOISE_SHARE, _WRITTEN_SHARE))
+        store({name: found[name] for name in writers}, writers, timed)
     return np.asarray(candidates.variances), candidates.intensities
 
 
-def _candidates(work: PartByPart, progress: Progress) -> Any:
+def _candidates(work: TiledJob, progress: Progress) -> Any:
     from napari_defocus import estimate_candidates, estimate_shot_noise
     from napari_defocus.tiled.candidates import sampled
 
@@ -124,7 +124,7 @@ def as_dask(image: Any, axes: str) -> Any:
     return da.from_array(image, chunks=tuple(sides.get(a, 1) for a in axes), name=False)
 
 
-def _found(work: PartByPart, candidates: Any) -> dict[str, Any]:
+def _found(work: TiledJob, candidates: Any) -> dict[str, Any]:
     """Return all that is wanted as dask arrays, looked at once together."""
     import dask.array as da
 
@@ -152,7 +152,7 @@ def with_time_left(progress: Progress, clock: Callable[[], float] = time.monoton
 
     def report(step: str, done: float) -> None:
         passed = clock() - begun
-        left = f", {duration(passed * (1 - done) / done)} left" if done > _TOLD_FROM else ""
+        left = f", {duration(passed * (1 - done) / done)} left" if done > _ESTIMATED_FROM else ""
         progress(step + left, done)
 
     return report

@@ -54,10 +54,10 @@ def preferred_settings() -> Settings:
     Settings
         All defaults where napari does not know the plugin.
     """
-    said = _said()
-    estimation = _possible(MapSettings(), said.get("map", {}))
+    explicit = _explicit()
+    estimation = _possible(MapSettings(), explicit.get("map", {}))
     usual = usual_threshold(estimation.family())
-    mask = _possible(MaskSettings(), said.get("mask", {}))
+    mask = _possible(MaskSettings(), explicit.get("mask", {}))
     if mask.threshold == MaskSettings.threshold:
         mask = replace(mask, threshold=usual)
     try:
@@ -70,10 +70,10 @@ def preferred_settings() -> Settings:
 
 def preferred_display() -> DisplaySettings:
     """Return how results are shown, as `preferred_settings` returns what shapes them."""
-    return _possible(DisplaySettings(), _said().get("display", {}))
+    return _possible(DisplaySettings(), _explicit().get("display", {}))
 
 
-def _said() -> dict[str, dict[str, Any]]:
+def _explicit() -> dict[str, dict[str, Any]]:
     """Return what Preferences say, part by part; nothing where napari knows no such plugin."""
     try:
         return get_plugin_settings(PLUGIN).model_dump()
@@ -85,9 +85,9 @@ def _said() -> dict[str, dict[str, Any]]:
         return {}
 
 
-def _possible(part: _Part, said: dict[str, Any]) -> _Part:
+def _possible(part: _Part, explicit: dict[str, Any]) -> _Part:
     """Return a part with all that is said and can be; each thing that cannot is warned of."""
-    for key, value in said.items():
+    for key, value in explicit.items():
         try:
             changed = replace(part, **{key: value})
             if isinstance(changed, MapSettings):
@@ -99,5 +99,5 @@ def _possible(part: _Part, said: dict[str, Any]) -> _Part:
 
 
 def _warn(reason: Exception) -> None:
-    told = str(reason).rstrip(".") or type(reason).__name__
-    show_warning(f"Preferences of Defocus: {told}. The default is used instead.")
+    why = str(reason).rstrip(".") or type(reason).__name__
+    show_warning(f"Preferences of Defocus: {why}. The default is used instead.")

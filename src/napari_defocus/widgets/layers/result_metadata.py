@@ -60,7 +60,7 @@ class Results:
     Attributes
     ----------
     layers : list of LayerDataTuple
-        See `show_results`.
+        See `add_results`.
     summary : str
         What to say about them, in a few lines.
     """
@@ -90,11 +90,11 @@ def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any)
         AT: [at if isinstance(at, int) else None for at in plane.index],
     }
     if plane.is_part:
-        made["region"] = described_region(plane)
+        made["region"] = region_description(plane)
     return {METADATA_KEY: made | more}
 
 
-def told_of_noise(given: float | None, variances: Collection[float]) -> str:
+def noise_description(given: float | None, variances: Collection[float]) -> str:
     """Return a line that says the noise variance of planes, and where it comes from.
 
     Parameters
@@ -106,7 +106,7 @@ def told_of_noise(given: float | None, variances: Collection[float]) -> str:
 
     Examples
     --------
-    >>> told_of_noise(None, [1e-6, 2.5e-5]), told_of_noise(1e-6, [1e-6])
+    >>> noise_description(None, [1e-6, 2.5e-5]), noise_description(1e-6, [1e-6])
     ('Noise variance 1.0e-06 to 2.5e-05 (found)', 'Noise variance 1.0e-06 (given)')
     """
     low, high = float(min(variances)), float(max(variances))
@@ -114,7 +114,7 @@ def told_of_noise(given: float | None, variances: Collection[float]) -> str:
     return f"Noise variance {span} ({'found' if given is None else 'given'})"
 
 
-def described_region(plane: Plane) -> dict[str, Any]:
+def region_description(plane: Plane) -> dict[str, Any]:
     """Return what metadata say about a part of a plane.
 
     Parameters
@@ -131,10 +131,10 @@ def described_region(plane: Plane) -> dict[str, Any]:
         list(cut.indices(length)[:2])
         for cut, length in zip(plane.cuts, plane.whole_shape, strict=True)
     )
-    told: dict[str, Any] = {"of": plane.region, "rows": rows, "columns": columns}
+    description: dict[str, Any] = {"of": plane.region, "rows": rows, "columns": columns}
     if plane.inside is not None:
-        told["outside"] = OUTSIDE
-    return told
+        description["outside"] = OUTSIDE
+    return description
 
 
 def made_by_us(layer: Layer) -> str | None:
@@ -160,12 +160,12 @@ def layer_of_result(layers: LayerList, result: str, source: str) -> Layer | None
 
 def same_estimation(layer: Layer, other: Layer) -> bool:
     """Tell whether two results of ours say that the same settings and noise have made them."""
-    told, others = (found.metadata[METADATA_KEY] for found in (layer, other))
-    return all(told.get(key) == others.get(key) for key in ("settings", "noise_variance"))
+    description, others = (found.metadata[METADATA_KEY] for found in (layer, other))
+    return all(description.get(key) == others.get(key) for key in ("settings", "noise_variance"))
 
 
 def run_of(layer: Layer) -> int:
-    """Return the number of the call of `show_results` that has shown a result last: 1, 2, ...
+    """Return the number of the call of `add_results` that has shown a result last: 1, 2, ...
 
     It is 0 if the layer does not say it.
     """

@@ -82,7 +82,7 @@ class Place:
         placed = plane.placement
         shaping = asdict(mask) if mask is not None and result == IN_FOCUS else {}
         units = {letter: str(placed["units"][axis]) for letter, axis in axes.items()}
-        with said_to_users():
+        with disk_errors_refused():
             need_large_extra()
             return new_ome_zarr(
                 _free(self.path, f"{plane.name} {_ON_DISK.get(result, result)}"),
@@ -124,7 +124,7 @@ class Place:
                 "in”, or a smaller region."
             )
 
-    def told(self) -> str:
+    def lifetime_text(self) -> str:
         """Return what to say about how long results are kept."""
         if self.folder is not None:
             return f"Kept in {self.folder}"
@@ -152,8 +152,8 @@ class Place:
         if plane is not None:
             levels = [plane.expanded(level) for level in levels]
         _, keywords, kind = layer
-        told = {"path": str(store), "temporary": self.folder is None}
-        made = {**keywords["metadata"][METADATA_KEY], STORE: told}
+        store_metadata = {"path": str(store), "temporary": self.folder is None}
+        made = {**keywords["metadata"][METADATA_KEY], STORE: store_metadata}
         return in_levels(
             LayerDataTuple((None, keywords | {"metadata": {METADATA_KEY: made}}, kind)), levels
         )
@@ -208,7 +208,7 @@ def _part(path: Path) -> Path:
 
 
 @contextmanager
-def said_to_users() -> Iterator[None]:
+def disk_errors_refused() -> Iterator[None]:
     """Let what the disk and missing packages say reach the user as a refusal."""
     try:
         yield
@@ -250,10 +250,10 @@ def letters_of(axis_labels: tuple[str, ...], planes: list[int], ndim: int) -> st
             f"it has {len(planes)} sliders; large results are kept for up to 3. Choose “the one "
             "shown”."
         )
-    said = [axis_labels[axis].lower()[:1] for axis in planes]
+    labels = [axis_labels[axis].lower()[:1] for axis in planes]
     usual = {0: "", 1: "z", 2: "tz", 3: "tcz"}[len(planes)]
     # Stores keep this order, whatever the letters are.
-    fits = all(a in _PLANE_LETTERS for a in said) and said == sorted(set(said), key="tcz".index)
-    plane_letters = iter(said if fits else usual)
+    fits = set(labels) <= {*_PLANE_LETTERS} and labels == sorted({*labels}, key="tcz".index)
+    plane_letters = iter(labels if fits else usual)
     picture = iter("yx")
     return "".join(next(plane_letters if axis in planes else picture) for axis in range(ndim))

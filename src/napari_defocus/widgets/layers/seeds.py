@@ -48,12 +48,12 @@ class SeedsWatch:
 
     Parameters
     ----------
-    tell : callable
+    notify : callable
         Called after each change.
     """
 
-    def __init__(self, tell: Callable[[], None]) -> None:
-        self._tell = tell
+    def __init__(self, notify: Callable[[], None]) -> None:
+        self._notify = notify
         self._watched: weakref.ref[Labels] | None = None
 
     def watch(self, layer: Labels | None) -> None:
@@ -68,7 +68,7 @@ class SeedsWatch:
                     (event.connect if connect else event.disconnect)(self._on_change)
 
     def _on_change(self, event: Any) -> None:
-        self._tell()
+        self._notify()
 
 
 def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
@@ -93,7 +93,7 @@ def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
         If it lies elsewhere, has another height and width, or values beside 0, 1 and 2.
     """
     layer = getattr(layer, "__wrapped__", layer)
-    with _said_of(layer, plane):
+    with _layers_named(layer, plane):
         return _seeds_in(layer, shown_index(layer, dims, finest(layer).shape), plane)
 
 
@@ -115,7 +115,7 @@ def seeds_of_plane(layer: Labels, plane: Plane) -> Seeds:
     ValueError
         As `shown_seeds`, and if it has no plane there.
     """
-    with _said_of(layer, plane):
+    with _layers_named(layer, plane):
         return _seeds_in(layer, _index_at(layer, plane), plane)
 
 
@@ -141,7 +141,7 @@ def _seeds_in(layer: Labels, index: tuple[int | slice, ...], plane: Plane) -> Se
 
 
 @contextmanager
-def _said_of(layer: Labels, plane: Plane) -> Iterator[None]:
+def _layers_named(layer: Labels, plane: Plane) -> Iterator[None]:
     """Let errors say which layer does not fit which image, and how to get one that does."""
     try:
         yield

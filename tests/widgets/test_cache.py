@@ -4,7 +4,7 @@ import weakref
 import numpy as np
 from napari.layers import Image
 
-from napari_defocus.widgets.jobs.cache import Kept, fingerprint
+from napari_defocus.widgets.jobs.cache import LayerCache, fingerprint
 
 
 class Estimate:
@@ -21,43 +21,43 @@ def an_image():
 
 
 def test_same_layer_and_key_are_worked_on_once():
-    kept, estimate, layer = Kept(), Estimate(), an_image()
-    assert kept.get(weakref.ref(layer), "a", estimate) == "candidates 1"
-    assert kept.get(weakref.ref(layer), "a", estimate) == "candidates 1"
-    assert kept.get(weakref.ref(layer), "b", estimate) == "candidates 2"
-    assert len(kept) == 1
+    cache, estimate, layer = LayerCache(), Estimate(), an_image()
+    assert cache.get(weakref.ref(layer), "a", estimate) == "candidates 1"
+    assert cache.get(weakref.ref(layer), "a", estimate) == "candidates 1"
+    assert cache.get(weakref.ref(layer), "b", estimate) == "candidates 2"
+    assert len(cache) == 1
 
 
 def test_no_layer_gets_what_was_found_of_another():
-    kept, estimate, layers = Kept(), Estimate(), [an_image(), an_image()]
-    found = [kept.get(weakref.ref(layer), "a", estimate) for layer in layers]
+    cache, estimate, layers = LayerCache(), Estimate(), [an_image(), an_image()]
+    found = [cache.get(weakref.ref(layer), "a", estimate) for layer in layers]
     assert found == ["candidates 1", "candidates 2"]
 
 
 def test_only_the_last_few_layers_are_kept():
-    kept, estimate, layers = Kept(layers=2), Estimate(), [an_image() for _ in range(3)]
+    cache, estimate, layers = LayerCache(layers=2), Estimate(), [an_image() for _ in range(3)]
     for layer in (layers[0], layers[1], layers[0], layers[2]):
-        kept.get(weakref.ref(layer), "a", estimate)
-    assert (len(kept), estimate.calls) == (2, 3)
-    kept.get(weakref.ref(layers[0]), "a", estimate)
+        cache.get(weakref.ref(layer), "a", estimate)
+    assert (len(cache), estimate.calls) == (2, 3)
+    cache.get(weakref.ref(layers[0]), "a", estimate)
     assert estimate.calls == 3
 
 
 def test_deleted_layer_takes_what_was_found_with_it():
-    kept, layer = Kept(), an_image()
-    kept.get(weakref.ref(layer), "a", Estimate())
+    cache, layer = LayerCache(), an_image()
+    cache.get(weakref.ref(layer), "a", Estimate())
     del layer
     gc.collect()
-    assert len(kept) == 0
+    assert len(cache) == 0
 
 
 def test_layer_that_is_gone_is_worked_on_but_not_kept():
-    kept, layer = Kept(), an_image()
+    cache, layer = LayerCache(), an_image()
     gone = weakref.ref(layer)
     del layer
     gc.collect()
-    assert kept.get(gone, "a", Estimate()) == "candidates 1"
-    assert len(kept) == 0
+    assert cache.get(gone, "a", Estimate()) == "candidates 1"
+    assert len(cache) == 0
 
 
 def test_fingerprint_sees_one_changed_pixel_the_shape_and_the_dtype():
