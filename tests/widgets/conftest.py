@@ -53,7 +53,7 @@ def _nothing_kept(request, monkeypatch):
     from napari_defocus.widgets.layers import preferences
 
     if "plugin_settings" not in request.fixturenames:
-        monkeypatch.setattr(preferences, "_said", dict)
+        monkeypatch.setattr(preferences, "_explicit", dict)
     if request.node.get_closest_marker("display") is None:
         return
     from napari_defocus.widgets.forms.image_panel import ImagePanel
