@@ -7,8 +7,8 @@ from napari.utils.notifications import notification_manager
 
 import napari_defocus
 from napari_defocus import Annulus, MeasuredPSF, simulate_defocus
-from napari_defocus.widgets.docks.blur_map import BlurMapWidget
 from napari_defocus.widgets.docks.calibrate import CalibrateWidget
+from napari_defocus.widgets.docks.single_steps import BlurMapWidget
 from napari_defocus.widgets.jobs.calibration import Calibration, numbers, planes_of
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, made_by_us

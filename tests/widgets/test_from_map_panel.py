@@ -8,10 +8,8 @@ import pytest
 from napari.utils.interactions import mouse_press_callbacks, mouse_release_callbacks
 
 import napari_defocus
-from napari_defocus.widgets.docks.all_in_focus import AllInFocusWidget
-from napari_defocus.widgets.docks.blur_map import BlurMapWidget
 from napari_defocus.widgets.docks.change_focus import PICK, PICKING, ChangeFocusWidget
-from napari_defocus.widgets.docks.depth import DepthWidget
+from napari_defocus.widgets.docks.single_steps import AllInFocusWidget, BlurMapWidget, DepthWidget
 from napari_defocus.widgets.layers.picker import value_at
 
 pytestmark = pytest.mark.display

@@ -22,7 +22,7 @@ from napari_defocus.widgets.display.cursor_text import text_under_cursor
 from napari_defocus.widgets.display.probing import NothingKnownError, probed
 from napari_defocus.widgets.display.region_table import add_regions
 from napari_defocus.widgets.docks.defocus import DefocusWidget
-from napari_defocus.widgets.docks.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.docks.single_steps import MapAndMaskWidget
 from napari_defocus.widgets.export.map_files import save_map
 from napari_defocus.widgets.export.stores import NotAMapError, write_store
 from napari_defocus.widgets.jobs import large_analysis, stack_analysis

@@ -10,9 +10,7 @@ from qtpy.QtWidgets import QSlider
 
 import napari_defocus
 from napari_defocus import segment_in_focus, simulate_defocus
-from napari_defocus.widgets.docks.blur_map import BlurMapWidget
-from napari_defocus.widgets.docks.in_focus import InFocusWidget
-from napari_defocus.widgets.docks.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.docks.single_steps import BlurMapWidget, InFocusWidget, MapAndMaskWidget
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.run_panel import PAUSE
 from napari_defocus.widgets.jobs import estimation

@@ -7,9 +7,7 @@ import napari_defocus
 from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import add_results
-from napari_defocus.widgets.docks.blur_map import BlurMapWidget
-from napari_defocus.widgets.docks.in_focus import InFocusWidget
-from napari_defocus.widgets.docks.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.docks.single_steps import BlurMapWidget, InFocusWidget, MapAndMaskWidget
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 
 pytestmark = pytest.mark.display

@@ -5,9 +5,8 @@ import pytest
 from skimage.data import gravel
 
 from napari_defocus import simulate_defocus
-from napari_defocus.widgets.docks.all_in_focus import AllInFocusWidget
 from napari_defocus.widgets.docks.change_focus import ChangeFocusWidget
-from napari_defocus.widgets.docks.map_and_mask import MapAndMaskWidget
+from napari_defocus.widgets.docks.single_steps import AllInFocusWidget, MapAndMaskWidget
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs import estimation
 

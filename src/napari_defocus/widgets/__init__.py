@@ -7,15 +7,15 @@ from importlib import import_module
 from typing import Any
 
 _HOME_OF = {
-    "AllInFocusWidget": "docks.all_in_focus",
-    "BlurMapWidget": "docks.blur_map",
+    "AllInFocusWidget": "docks.single_steps",
+    "BlurMapWidget": "docks.single_steps",
     "CalibrateWidget": "docks.calibrate",
     "ChangeFocusWidget": "docks.change_focus",
     "DefocusWidget": "docks.defocus",
-    "DepthWidget": "docks.depth",
+    "DepthWidget": "docks.single_steps",
     "FocusCurveWidget": "docks.focus_curve",
-    "InFocusWidget": "docks.in_focus",
-    "MapAndMaskWidget": "docks.map_and_mask",
+    "InFocusWidget": "docks.single_steps",
+    "MapAndMaskWidget": "docks.single_steps",
     "ProbeWidget": "docks.probe",
     "SharpestPlaneWidget": "docks.sharpest_plane",
     "brushes": "layers.samples",

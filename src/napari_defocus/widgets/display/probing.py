@@ -17,7 +17,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     IN_FOCUS,
     METADATA_KEY,
     STORE,
-    made_by_us,
+    pictures_in,
     results_of,
 )
 
@@ -172,20 +172,18 @@ def image_of(layers: Any, layer: Layer | None) -> Image | None:
     """Return the image layer that a layer is or is a result of; None if there is none."""
     if layer is None:
         return None
-    if isinstance(layer, Image) and made_by_us(layer) is None:
+    if pictures_in([layer]):
         return layer
     made = layer.metadata.get(METADATA_KEY, {})
     source = made.get("source") if isinstance(made, dict) else None
-    named = (other for other in layers if other.name == source)
-    return next((o for o in named if isinstance(o, Image) and made_by_us(o) is None), None)
+    return next((image for image in pictures_in(layers) if image.name == source), None)
 
 
 def image_to_probe(viewer: ViewerModel, cache: JobCache) -> Image | None:
     """Return the image layer to begin with: one that was analysed, rather the active one."""
-    images = [layer for layer in viewer.layers if image_of([], layer) is not None]
     active = image_of(viewer.layers, viewer.layers.selection.active)
     # The active one last, so that it is taken if several will do.
-    ordered = sorted(images, key=lambda image: image is active)
+    ordered = sorted(pictures_in(viewer.layers), key=lambda image: image is active)
     known = [image for image in ordered if cache.analysed.latest(_itself(image)) is not None]
     return (known or ordered or [None])[-1]
 

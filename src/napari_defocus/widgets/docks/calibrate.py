@@ -15,7 +15,7 @@ from napari_defocus.widgets.forms.run_panel import RunPanel, wrap
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.calibration import Calibration, numbers, planes_of
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
-from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, made_by_us
+from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, pictures_in
 
 POINT_SOURCES = "none: point sources"
 
@@ -84,11 +84,7 @@ class CalibrateWidget(RunPanel):
         self._show_selected()
 
     def _images(self, _: Any = None) -> list[Image]:
-        return [
-            layer
-            for layer in self._viewer.layers
-            if isinstance(layer, Image) and made_by_us(layer) is None
-        ]
+        return pictures_in(self._viewer.layers)
 
     def _selected(self) -> list[Image]:
         chosen = self._viewer.layers.selection

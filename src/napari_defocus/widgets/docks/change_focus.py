@@ -11,7 +11,8 @@ from napari.utils.notifications import show_warning
 
 from napari_defocus.core.checks import Linearize
 from napari_defocus.settings import MapSettings, RefocusSettings
-from napari_defocus.widgets.forms.from_map_panel import FromMapPanel, Work
+from napari_defocus.widgets.forms.from_map_panel import FromMapPanel
+from napari_defocus.widgets.forms.image_panel import Work
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
 from napari_defocus.widgets.forms.run_panel import wrap
 from napari_defocus.widgets.forms.side_field import side_field, side_note
@@ -99,17 +100,8 @@ class ChangeFocusWidget(FromMapPanel):
         self._picker = ClickPicker(napari_viewer, lambda position: self.focus_on(position))
         self._finish_form(
             [
-                *self._map_fields(),
-                self.focus,
-                self.pick,
-                self.aperture,
-                self.side,
-                self.side_note,
-                self.follow,
-                self.linear_light,
-                *self.restoration.fields(),
-                self.settings.more,
-                *self.settings.more_fields(),
+                *(self.focus, self.pick, self.aperture, self.side, self.side_note),
+                *(self.follow, self.linear_light, *self.restoration.fields()),
             ]
         )
         wrap(self.side_note)
@@ -126,12 +118,8 @@ class ChangeFocusWidget(FromMapPanel):
         plane = self._shown_plane()
         linearize: Linearize | None = "srgb" if self.linear_light.value else None
         return Refocusing(
-            restoration=Restoration(
-                plane=plane,
-                source=self.source(plane),
-                settings=self.restoration.settings(self.noise_variance()),
-                linearize=linearize,
-                protect=self.restoration.protect.value,
+            restoration=self.restoration.restoration(
+                plane, self.source(plane), self.noise_variance(), linearize
             ),
             view=RefocusSettings(
                 focus=self.focus.value,
@@ -197,11 +185,11 @@ class ChangeFocusWidget(FromMapPanel):
         with suppress(ValueError):
             work = self.work()
             if work.restoration == self._restored:
-                self._start_on(work)
+                self._start_work(work)
 
-    def _start_on(self, work: Work) -> Run:
+    def _start_work(self, work: Work, action: str = "") -> Run:
         self._started = work.restoration if isinstance(work, Refocusing) else None
-        return super()._start_on(work)
+        return super()._start_work(work, action)
 
     def _show_results(self, results: Results) -> Iterator[Layer]:
         yield from super()._show_results(results)

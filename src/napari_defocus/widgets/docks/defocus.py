@@ -6,9 +6,10 @@ from magicgui.widgets import PushButton, Widget
 from napari.components import ViewerModel
 from napari.layers import Image
 
-from napari_defocus.widgets.display.add_results import add_results_stepwise
+from napari_defocus.core.checks import Linearize
 from napari_defocus.widgets.docks.tools import Tools
 from napari_defocus.widgets.forms.depth_form import DepthForm
+from napari_defocus.widgets.forms.image_panel import Work
 from napari_defocus.widgets.forms.pages import Pages
 from napari_defocus.widgets.forms.panel import DefocusPanel
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
@@ -23,7 +24,7 @@ from napari_defocus.widgets.jobs.map_source import (
 )
 from napari_defocus.widgets.jobs.restoration import Restoration
 from napari_defocus.widgets.layers.image_layers import Plane
-from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, Results, layer_of_result
+from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, layer_of_result
 
 MAP, MASK, RESTORE, DEPTH, MORE = "Map", "In focus", "Restore", "Depth", "More"
 
@@ -144,11 +145,11 @@ class DefocusWidget(DefocusPanel):
 
     def restore(self) -> Run | None:
         """Start to take the blur away, and return the run; None if it cannot be done."""
-        return self._run_on(self._restoration)
+        return self._run_work(self._restoration, self.restore_button.text)
 
     def estimate_depth(self) -> Run | None:
         """Start to tell distances, and return the run; None if it cannot be done."""
-        return self._run_on(lambda: self._distances(self._shown_plane()))
+        return self._run_work(self._distances, self.depth_button.text)
 
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
@@ -156,19 +157,15 @@ class DefocusWidget(DefocusPanel):
         if description is not None:
             self.status.value = description
 
-    def _distances(self, plane: Plane) -> Distances:
+    def _distances(self) -> Distances:
+        plane = self._shown_plane()
         return self.depth.distances(plane, self._source(plane))
 
     def _restoration(self) -> Restoration:
         settings, plane = self.settings, self._shown_plane()
         noise = None if settings.shot_noise.value else settings.given_noise_variance()
-        return Restoration(
-            plane=plane,
-            source=self._source(plane),
-            settings=self.restoration.settings(noise),
-            linearize="srgb" if settings.linear_light.value else None,
-            protect=self.restoration.protect.value,
-        )
+        linearize: Linearize | None = "srgb" if settings.linear_light.value else None
+        return self.restoration.restoration(plane, self._source(plane), noise, linearize)
 
     def _source(self, plane: Plane) -> MapSource:
         """Return where the map comes from: of a large plane, the one that was measured."""
@@ -178,23 +175,6 @@ class DefocusWidget(DefocusPanel):
             return source_of_layer(layer, plane, self._viewer, settings.psf)
         return EstimatedSource(settings=settings)
 
-    def _run_on(self, asked: Any) -> Run | None:
-        if self._running is not None:
-            return self._running
-        work = self._asked_for(asked)
-        if work is None:
-            return None
+    def _start_work(self, work: Work, action: str = "") -> Run:
         self._live_labels.stop()
-        return self._start(
-            lambda progress: work.run(self.cache, progress),
-            self._showing_made,
-            [work.plane],
-            f"Defocus of {work.plane.name}",
-        )
-
-    def _showing_made(self, results: Results) -> Any:
-        if self._still_current():
-            yield from add_results_stepwise(
-                self._viewer, results.layers, keep_earlier=self.keep_earlier.value
-            )
-            self.status.value = results.summary
+        return super()._start_work(work, action)

@@ -23,7 +23,7 @@ from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.qt_lifetime import when_destroyed
 from napari_defocus.widgets.forms.run_panel import wrap
 from napari_defocus.widgets.forms.tabs import become_a_tab
-from napari_defocus.widgets.layers.result_metadata import made_by_us
+from napari_defocus.widgets.layers.result_metadata import pictures_in
 
 INTERVAL = 40
 """Least time between two updates while the mouse moves, in ms."""
@@ -105,8 +105,7 @@ class ProbeWidget(Container[Widget]):
         native.setMinimumHeight(LINES * native.fontMetrics().lineSpacing())
 
     def _images(self, _: Any) -> list[Image]:
-        layers = self._viewer.layers
-        return [layer for layer in layers if isinstance(layer, Image) and not made_by_us(layer)]
+        return pictures_in(self._viewer.layers)
 
     def set_image(self, layer: Layer | None) -> None:
         """Choose an image layer, or the one that a result layer was made of."""

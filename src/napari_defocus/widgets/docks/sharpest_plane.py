@@ -1,7 +1,6 @@
 """The widget that finds where each pixel of a stack is in focus."""
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 from magicgui.widgets import ComboBox
@@ -9,7 +8,6 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
 from napari_defocus.core.axes import CHOSEN_BY, known_axis
-from napari_defocus.widgets.display.add_results import add_results_stepwise
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.settings_form import SettingsForm, automatic_field, number_or_none
 from napari_defocus.widgets.forms.slider_number import SliderNumber
@@ -157,29 +155,14 @@ class SharpestPlaneWidget(ImagePanel):
         )
 
     def run(self) -> Run | None:
-        """Start to compare the planes, and return the run; None if it cannot be done.
+        """Start to compare the planes, and return the run; None if it cannot be done."""
+        return self._run_work(self.wanted)
 
-        The results are in the viewer when the run's `finished` signal comes. While one runs,
-        that one is returned.
-        """
-        if self._running is not None:
-            return self._running
-        wanted = self._asked_for(self.wanted)
-        if wanted is None:
-            return None
-        return self._start(
-            partial(wanted.run, self.cache),
-            self._showing,
-            [wanted.plane],
-            f"Sharpest plane of {wanted.plane.name}",
-        )
-
-    def _showing(self, results: Results) -> Iterator[Layer]:
-        if self._still_current():
-            layers = []
-            for layer in add_results_stepwise(self._viewer, results.layers):
-                layers.append(layer)
-                yield layer
+    def _show_results(self, results: Results) -> Iterator[Layer]:
+        layers = []
+        for layer in super()._show_results(results):
+            layers.append(layer)
+            yield layer
+        if layers:
             # The picture: what lies above it is hidden.
             self._viewer.layers.selection.active = layers[0]
-            self._last_word = self.status.value = results.summary

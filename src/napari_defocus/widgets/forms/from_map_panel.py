@@ -1,19 +1,14 @@
 """What the widgets share that make something of an image and its blur map."""
 
-from collections.abc import Iterator
-from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from magicgui.widgets import ComboBox, Widget
 from napari.components import ViewerModel
-from napari.layers import Image, Layer
+from napari.layers import Image
 
-from napari_defocus.core.progress import Progress
-from napari_defocus.widgets.display.add_results import add_results_stepwise
-from napari_defocus.widgets.forms.image_panel import ImagePanel
+from napari_defocus.widgets.forms.image_panel import ImagePanel, Work
 from napari_defocus.widgets.forms.settings_form import SettingsForm
 from napari_defocus.widgets.forms.workers import Run
-from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.map_source import (
     EstimatedSource,
     MapSource,
@@ -22,20 +17,8 @@ from napari_defocus.widgets.jobs.map_source import (
     source_of_layer,
 )
 from napari_defocus.widgets.layers.image_layers import Plane
-from napari_defocus.widgets.layers.result_metadata import Results
 
 ESTIMATE = "estimate it"
-
-
-class Work(Protocol):
-    """What is wanted of a plane."""
-
-    @property
-    def plane(self) -> Plane:
-        """What it is made of."""
-
-    def run(self, cache: JobCache, progress: Progress) -> Results:
-        """Make it."""
 
 
 class MapBox(ComboBox):
@@ -81,18 +64,14 @@ class FromMapPanel(ImagePanel):
             return []
         return [layer for layer in self._viewer.layers if may_be_map_of(layer, image)]
 
-    def _map_fields(self) -> list[Widget]:
-        """Return the fields that say what is worked on and where its map comes from."""
-        settings = self.settings
-        return [
-            self.image,
-            self.region,
-            self.blur_map,
-            *settings.lens.fields(),
-            settings.max_radius,
-        ]
-
     def _finish_form(self, fields: list[Widget]) -> None:
+        """Put fields between those that say where the map comes from, and those few need."""
+        settings = self.settings
+        fields = [
+            *(self.image, self.region, self.blur_map, *settings.lens.fields(), settings.max_radius),
+            *fields,
+            *(settings.more, *settings.more_fields()),
+        ]
         super()._finish_form(fields)
         self.image.changed.connect(lambda _: self.blur_map.reset_choices())
         self.blur_map.changed.connect(lambda _: self._show_needed())
@@ -155,25 +134,5 @@ class FromMapPanel(ImagePanel):
         raise NotImplementedError
 
     def run(self) -> Run | None:
-        """Start the work that the form asks for, and return it; None if it cannot be done.
-
-        The results are in the viewer when the run's `finished` signal comes. While one runs,
-        that one is returned.
-        """
-        if self._running is not None:
-            return self._running
-        work = self._asked_for(self.work)
-        return None if work is None else self._start_on(work)
-
-    def _start_on(self, work: Work) -> Run:
-        return self._start(
-            partial(work.run, self.cache),
-            self._show_results,
-            [work.plane],
-            f"{self.run_button.text}: {work.plane.name}",
-        )
-
-    def _show_results(self, results: Results) -> Iterator[Layer]:
-        if self._still_current():
-            yield from add_results_stepwise(self._viewer, results.layers)
-            self.status.value = results.summary
+        """Start the work that the form asks for, and return it; None if it cannot be done."""
+        return self._run_work(self.work)

@@ -1,23 +1,42 @@
 """What the widgets that work on one image layer share: choose it, ask, show what was made."""
 
 import threading
-from collections.abc import Callable
-from functools import cache
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from magicgui.widgets import ComboBox
 from napari.components import ViewerModel
-from napari.layers import Image
+from napari.layers import Image, Layer
 from napari.utils.notifications import show_info, show_warning
 
-from napari_defocus.widgets.display.add_results import prepare_napari
+from napari_defocus.core.progress import Progress
+from napari_defocus.widgets.display.add_results import add_results_stepwise, prepare_napari
 from napari_defocus.widgets.forms.region_field import RegionField
 from napari_defocus.widgets.forms.run_panel import RunPanel
+from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, shown_plane
-from napari_defocus.widgets.layers.result_metadata import MEASURED_PSF, METADATA_KEY, made_by_us
+from napari_defocus.widgets.layers.result_metadata import (
+    MEASURED_PSF,
+    METADATA_KEY,
+    Results,
+    made_by_us,
+    pictures_in,
+)
 
 T = TypeVar("T")
+
+
+class Work(Protocol):
+    """What is wanted of a plane."""
+
+    @property
+    def plane(self) -> Plane:
+        """What it is made of."""
+
+    def run(self, cache: JobCache, progress: Progress) -> Results:
+        """Make it."""
 
 
 @cache
@@ -60,11 +79,7 @@ class ImagePanel(RunPanel):
         prepare()
 
     def _images(self, _: Any) -> list[Image]:
-        return [
-            layer
-            for layer in self._viewer.layers
-            if isinstance(layer, Image) and made_by_us(layer) is None
-        ]
+        return pictures_in(self._viewer.layers)
 
     def _choose_active(self) -> None:
         """Choose the active image layer; only once the fields are in a form."""
@@ -93,6 +108,35 @@ class ImagePanel(RunPanel):
         except ValueError as reason:
             show_warning(str(reason))
         return None
+
+    def _run_work(self, ask: Callable[[], Work], action: str = "") -> Run | None:
+        """Start the work that the form asks for, and return it; None if it cannot be done.
+
+        The results are in the viewer when the run's `finished` signal comes. While one runs,
+        that one is returned.
+        """
+        if self._running is not None:
+            return self._running
+        work = self._asked_for(ask)
+        return None if work is None else self._start_work(work, action)
+
+    def _start_work(self, work: Work, action: str = "") -> Run:
+        return self._start(
+            partial(work.run, self.cache),
+            self._show_results,
+            [work.plane],
+            f"{action or self.run_button.text}: {work.plane.name}",
+        )
+
+    def _show_results(self, results: Results) -> Iterator[Layer]:
+        if self._still_current():
+            keep = self._keeps_earlier()
+            yield from add_results_stepwise(self._viewer, results.layers, keep_earlier=keep)
+            self.status.value = results.summary
+
+    def _keeps_earlier(self) -> bool:
+        """Tell whether the results of earlier runs stay."""
+        return False
 
     def _still_current(self) -> bool:
         """Tell whether the plane that was worked on is as it was; if it was changed, say so."""

@@ -291,7 +291,7 @@ class DefocusPanel(ImagePanel):
         keep = bool(self.keep_earlier.value)
 
         def take(results: list[LayerDataTuple], whole: bool) -> Iterator[Layer]:
-            return self._show_results(results, analysis, whole, keep)
+            return self._show_analysis(results, analysis, whole, keep)
 
         return self._start(
             partial(analysis.run, self.cache),
@@ -328,6 +328,9 @@ class DefocusPanel(ImagePanel):
         if analysed is not None and isinstance(analysis, StackAnalysis):
             # The plane that was shown can follow the sliders.
             self._shown.note(analysed, analysis.of_plane(analysis.plane))
+
+    def _keeps_earlier(self) -> bool:
+        return bool(self.keep_earlier.value)
 
     def compare(self) -> Run | None:
         """Start a comparison of lenses on the chosen image, and return it, like `run`."""
@@ -369,7 +372,7 @@ class DefocusPanel(ImagePanel):
         self._live_labels.stop()
         super()._on_closed()
 
-    def _show_results(
+    def _show_analysis(
         self, results: list[LayerDataTuple], analysis: Analysis, whole: bool, keep_earlier: bool
     ) -> Iterator[Layer]:
         analysed = self.cache.analysed.latest(self.image.value)

@@ -2,8 +2,12 @@
 
 from magicgui.widgets import CheckBox, Widget
 
+from napari_defocus.core.checks import Linearize
 from napari_defocus.settings import RestorationSettings
 from napari_defocus.widgets.forms.settings_form import automatic_field, number_or_none
+from napari_defocus.widgets.jobs.map_source import MapSource
+from napari_defocus.widgets.jobs.restoration import Restoration
+from napari_defocus.widgets.layers.image_layers import Plane
 
 
 class RestorationForm:
@@ -34,6 +38,22 @@ class RestorationForm:
     def fields(self) -> list[Widget]:
         """Return the fields, from top to bottom."""
         return [self.protect, self.tv_weight]
+
+    def restoration(
+        self,
+        plane: Plane,
+        source: MapSource,
+        noise_variance: float | None,
+        linearize: Linearize | None,
+    ) -> Restoration:
+        """Return what the fields ask for, see `settings`."""
+        return Restoration(
+            plane=plane,
+            source=source,
+            settings=self.settings(noise_variance),
+            linearize=linearize,
+            protect=self.protect.value,
+        )
 
     def settings(self, noise_variance: float | None) -> RestorationSettings:
         """Return what the fields say.

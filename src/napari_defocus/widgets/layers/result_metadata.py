@@ -3,12 +3,12 @@
 No Qt here, as in `layers`.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from napari.components import LayerList
-from napari.layers import Layer
+from napari.layers import Image, Layer
 from napari.types import LayerDataTuple
 
 from napari_defocus import __version__
@@ -141,6 +141,11 @@ def made_by_us(layer: Layer) -> str | None:
     """Return what result a layer holds, None if it is no result of ours."""
     made = layer.metadata.get(METADATA_KEY, {})
     return made.get("result") if isinstance(made, dict) else None
+
+
+def pictures_in(layers: Iterable[Layer]) -> list[Image]:
+    """Return the image layers that are no results of ours."""
+    return [layer for layer in layers if isinstance(layer, Image) and made_by_us(layer) is None]
 
 
 def results_of(layers: LayerList, result: str, source: str) -> list[Layer]:
