@@ -37,10 +37,6 @@ _BEFORE_VALUES = " » "
 def show_under_cursor(viewer: ViewerModel) -> None:
     """Let a viewer tell the blur under the cursor from now on; once or often is the same.
 
-    Parameters
-    ----------
-    viewer : napari.components.ViewerModel or napari.Viewer
-
     See Also
     --------
     text_under_cursor : What is told.

@@ -31,7 +31,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     IN_FOCUS,
     METADATA_KEY,
     layer_of_result,
-    provenance,
+    result_layer,
 )
 
 Measured = tuple[NDArray[np.int32], RegionTable, RegionTable]
@@ -52,11 +52,6 @@ def add_regions(viewer: ViewerModel, image: Image) -> Labels | None:
     The mask, the blur map and its confidence are those that our widgets have made of the image.
     Without a map the table has no radii, without a confidence it does not say how sure they are:
     a message says so. The mask itself gets a table of two rows: blurred, and in focus.
-
-    Parameters
-    ----------
-    viewer : napari.components.ViewerModel or napari.Viewer
-    image : napari.layers.Image
 
     Returns
     -------
@@ -149,20 +144,14 @@ def regions_layer(
         Its columns become the features: napari finds the row of a label by ``index``.
     mask : napari.layers.Layer
         Whose regions they are; its metadata say what made it.
-
-    Returns
-    -------
-    LayerDataTuple
     """
     settings = mask.metadata[METADATA_KEY].get("settings", {})
-    keywords = {
-        "name": f"{plane.name} regions",
-        "opacity": OPACITY,
-        "features": dict(table.columns),
-        "metadata": provenance(plane, REGIONS, settings, mask=mask.name),
-        **plane.placement,
-    }
-    return LayerDataTuple((plane.expanded(labels), keywords, "labels"))
+    return result_layer(
+        *(plane, REGIONS, labels, settings, {"mask": mask.name}),
+        kind="labels",
+        opacity=OPACITY,
+        features=dict(table.columns),
+    )
 
 
 def _shown(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None, Any]:

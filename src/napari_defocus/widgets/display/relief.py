@@ -165,12 +165,7 @@ def _themselves(viewer: ViewerModel, layer: Image) -> tuple[ViewerModel, Image]:
 
 
 def hide_relief(viewer: ViewerModel) -> bool:
-    """Take the relief away, and bring back what was seen before; False if none is shown.
-
-    Parameters
-    ----------
-    viewer : napari.components.ViewerModel or napari.Viewer
-    """
+    """Take the relief away, and bring back what was seen before; False if none is shown."""
     state = view_state(viewer)
     if state is None:
         return False

@@ -30,13 +30,7 @@ class _Renaming:
 
 
 def rename_with(viewer: ViewerModel, picture: Layer) -> None:
-    """Let the results of a picture be renamed when it is, from now on; once or often is the same.
-
-    Parameters
-    ----------
-    viewer : napari.components.ViewerModel or napari.Viewer
-    picture : napari.layers.Layer
-    """
+    """Let the results of a picture be renamed when it is, from now on; once or often is one."""
     viewer, picture = (getattr(lent, "__wrapped__", lent) for lent in (viewer, picture))
     if not any(isinstance(each, _Renaming) for each in picture.events.name.callbacks):
         picture.events.name.connect(_Renaming(viewer, picture))

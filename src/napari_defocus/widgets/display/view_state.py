@@ -38,10 +38,6 @@ class ViewState:
     viewer : napari.components.ViewerModel
     image_layer : napari.layers.Image
         Whose relief will be shown.
-
-    Attributes
-    ----------
-    relief : weak reference to napari.layers.Surface
     """
 
     relief: weakref.ref[Surface]

@@ -29,10 +29,6 @@ class SharpBox(ComboBox):
 class CalibrateWidget(RunPanel):
     """Measure what a lens makes of a point, from the selected image layers.
 
-    Parameters
-    ----------
-    napari_viewer : napari.Viewer or napari.components.ViewerModel
-
     Attributes
     ----------
     pictures : magicgui.widgets.Label

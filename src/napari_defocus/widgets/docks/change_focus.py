@@ -35,10 +35,6 @@ class ChangeFocusWidget(FromMapPanel):
 
     The picture is restored once; another focus or aperture only blurs it again.
 
-    Parameters
-    ----------
-    napari_viewer : napari.Viewer or napari.components.ViewerModel
-
     Attributes
     ----------
     focus, aperture, side, linear_light : magicgui widgets

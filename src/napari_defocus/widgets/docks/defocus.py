@@ -34,10 +34,6 @@ _FIRST_STEPS = "Choose an image and press “Measure”."
 class DefocusWidget(DefocusPanel):
     """Measure the blur of a picture, correct what is in focus, take the blur away, tell distances.
 
-    Parameters
-    ----------
-    napari_viewer : napari.Viewer or napari.components.ViewerModel
-
     Attributes
     ----------
     pages : Pages

@@ -32,10 +32,6 @@ class FocusCurveWidget(RunPanel):
 
     The curve follows its layers; it is read in a thread.
 
-    Parameters
-    ----------
-    napari_viewer : napari.Viewer or napari.components.ViewerModel
-
     Attributes
     ----------
     form : CurveForm

@@ -43,10 +43,6 @@ class ProbeWidget(Container[Widget]):
 
     It estimates nothing: it shows what the other widgets have found.
 
-    Parameters
-    ----------
-    napari_viewer : napari.Viewer or napari.components.ViewerModel
-
     Attributes
     ----------
     image : magicgui.widgets.ComboBox

@@ -21,10 +21,6 @@ from napari_defocus.widgets.layers.result_metadata import Results
 class SharpestPlaneWidget(ImagePanel):
     """Find in which plane of a stack each pixel is in focus, and put those pixels together.
 
-    Parameters
-    ----------
-    napari_viewer : napari.Viewer or napari.components.ViewerModel
-
     Attributes
     ----------
     along : magicgui.widgets.ComboBox

@@ -34,12 +34,7 @@ class MapAndMaskWidget(DefocusPanel):
 
 
 class AllInFocusWidget(FromMapPanel):
-    """Take the blur away wherever it is known, so that all is in focus.
-
-    Attributes
-    ----------
-    restoration : RestorationForm
-    """
+    """Take the blur away wherever it is known, so that all is in focus."""
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__(napari_viewer, action="Make all in focus")
@@ -59,12 +54,7 @@ class AllInFocusWidget(FromMapPanel):
 
 
 class DepthWidget(FromMapPanel):
-    """Turn the blur of a picture into distances, for a lens that is known.
-
-    Attributes
-    ----------
-    depth : DepthForm
-    """
+    """Turn the blur of a picture into distances, for a lens that is known."""
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__(napari_viewer, action="Estimate depth")

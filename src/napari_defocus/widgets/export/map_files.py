@@ -144,10 +144,6 @@ def read_maps(path: str | list[str]) -> list[Image]:
 def read_map(path: str | os.PathLike[str]) -> Image:
     """Return the layer that a file of `save_map` or of the terminal holds.
 
-    Parameters
-    ----------
-    path : path-like
-
     Returns
     -------
     napari.layers.Image

@@ -28,10 +28,6 @@ class CurveForm:
     read, draw : callable
         Called when the stack must be read again, and when only another part of what was read
         is asked for.
-
-    Attributes
-    ----------
-    blur_maps, mask, threshold, along : magicgui widgets
     """
 
     def __init__(

@@ -17,13 +17,7 @@ from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 
 
 class DepthForm:
-    """The fields of a lens, of the side of its focus, and of what is made of it.
-
-    Attributes
-    ----------
-    thin_lens : ThinLensForm
-    side, side_note, min_confidence, surface : magicgui widgets
-    """
+    """The fields of a lens, of the side of its focus, and of what is made of it."""
 
     def __init__(self) -> None:
         self.thin_lens = ThinLensForm()

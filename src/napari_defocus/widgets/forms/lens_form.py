@@ -29,10 +29,6 @@ class LensForm:
     ----------
     last_measured : callable
         Returns the file of the lens that was measured last, "" if there is none.
-
-    Attributes
-    ----------
-    lens, blades, rotation, obstruction, exponent, file : magicgui widgets
     """
 
     def __init__(self, last_measured: Callable[[], str]) -> None:

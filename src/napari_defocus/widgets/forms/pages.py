@@ -11,12 +11,7 @@ WIDTH = 400
 
 
 class Pages:
-    """Forms of which one is shown at a time.
-
-    Attributes
-    ----------
-    native : QTabWidget
-    """
+    """Forms of which one is shown at a time."""
 
     def __init__(self) -> None:
         self.native = QTabWidget()

@@ -14,10 +14,6 @@ class RegionField(ComboBox):
     """All of a picture, what is in view, or what the shapes of a layer enclose.
 
     Its choices follow the viewer's layers wherever those of other fields do.
-
-    Parameters
-    ----------
-    napari_viewer : napari.Viewer or napari.components.ViewerModel
     """
 
     def __init__(self, napari_viewer: ViewerModel) -> None:

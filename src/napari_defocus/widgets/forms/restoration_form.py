@@ -11,12 +11,7 @@ from napari_defocus.widgets.layers.image_layers import Plane
 
 
 class RestorationForm:
-    """The fields of a restoration.
-
-    Attributes
-    ----------
-    protect, tv_weight : magicgui widgets
-    """
+    """The fields of a restoration."""
 
     def __init__(self) -> None:
         self.protect = CheckBox(

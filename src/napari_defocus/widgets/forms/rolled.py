@@ -8,12 +8,7 @@ LEAST_HEIGHT = 240
 
 
 class Rolled(QScrollArea):
-    """A form as wide as it must be, and no higher than there is room: a window never has to grow.
-
-    Parameters
-    ----------
-    form : QWidget
-    """
+    """A form as wide as it must be, no higher than there is room: a window never has to grow."""
 
     def __init__(self, form: QWidget) -> None:
         super().__init__()

@@ -81,11 +81,6 @@ class Calibration:
     def run(self, progress: Progress = silent) -> list[LayerDataTuple]:
         """Measure the lens, save it, and return the layer of its kernels.
 
-        Parameters
-        ----------
-        progress : callable, optional
-            See `napari_defocus.core.progress`.
-
         Raises
         ------
         ValueError

@@ -18,7 +18,13 @@ from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource
 from napari_defocus.widgets.layers.image_layers import Plane
-from napari_defocus.widgets.layers.result_metadata import DEPTH, DEPTH_SURFACE, Results, provenance
+from napari_defocus.widgets.layers.result_metadata import (
+    DEPTH,
+    DEPTH_SURFACE,
+    Results,
+    provenance,
+    result_layer,
+)
 
 if TYPE_CHECKING:
     from napari_defocus import DepthSurface, ThinLens
@@ -110,24 +116,22 @@ class Distances:
             )
         return depth
 
-    def _made(self, result: str, blur_map: BlurMap, **more: Any) -> dict[str, Any]:
-        settings = {
+    def _settings(self) -> dict[str, Any]:
+        return {
             "map": self.source.described(),
             "lens": asdict(self.lens),
             "side": self.side,
             "min_confidence": self.min_confidence,
         }
-        return provenance(self.plane, result, settings, blur_map=blur_map.name, **more)
 
     def _depth_layer(self, depth: Float32, blur_map: BlurMap) -> LayerDataTuple:
-        keywords = {
-            "name": f"{self.plane.name} depth (m)",
-            "colormap": _colors(),
-            "contrast_limits": _limits(depth),
-            "metadata": self._made(DEPTH, blur_map, unit="m", nan=_NAN, infinity=_INFINITY),
-            **self.plane.placement,
-        }
-        return LayerDataTuple((self.plane.expanded(depth), keywords, "image"))
+        facts = {"blur_map": blur_map.name, "unit": "m", "nan": _NAN, "infinity": _INFINITY}
+        return result_layer(
+            *(self.plane, DEPTH, depth, self._settings(), facts),
+            name="depth (m)",
+            colormap=_colors(),
+            contrast_limits=_limits(depth),
+        )
 
     def _surface_layer(self, depth: Float32, picture: Picture, blur_map: BlurMap) -> LayerDataTuple:
         from napari_defocus import depth_surface
@@ -138,8 +142,10 @@ class Distances:
             "name": f"{self.plane.name} depth surface",
             "vertex_colors": colors,
             "shading": "none",
-            "metadata": self._made(
-                DEPTH_SURFACE, blur_map, height="a relief towards the camera, no scale model"
+            "metadata": provenance(
+                *(self.plane, DEPTH_SURFACE, self._settings()),
+                blur_map=blur_map.name,
+                height="a relief towards the camera, no scale model",
             ),
             **upright(self.plane),
         }

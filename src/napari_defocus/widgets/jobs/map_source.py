@@ -110,12 +110,7 @@ class MapSource(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedSource:
-    """A map that is estimated from the picture.
-
-    Attributes
-    ----------
-    settings : MapSettings
-    """
+    """A map that is estimated from the picture."""
 
     settings: MapSettings
 

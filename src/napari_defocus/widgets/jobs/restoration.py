@@ -22,7 +22,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     REFOCUSED,
     Results,
     noise_description,
-    provenance,
+    result_layer,
 )
 
 Float32 = NDArray[np.float32]
@@ -196,29 +196,20 @@ def _picture_layer(
     wanted: Restoration, made: Restored, picture: Float32, result: str, **settings: Any
 ) -> LayerDataTuple:
     """Return a picture in [0, 1] as an image layer that lies on the plane."""
-    plane = wanted.plane
-    restoration = {
-        **asdict(wanted.settings),
-        "linearize": wanted.linearize,
-        "protect": wanted.protect,
-    }
+    restoration = {"linearize": wanted.linearize, "protect": wanted.protect}
+    restoration = asdict(wanted.settings) | restoration
     settings = {"map": wanted.source.described(), "restoration": restoration, **settings}
-    keywords = {
-        "name": f"{plane.name} {result}",
-        "rgb": picture.ndim == 3,
-        "contrast_limits": _limits(plane, made.picture.intensities),
-        "metadata": provenance(
-            plane,
-            result,
-            settings,
-            noise_variance=made.noise_variance,
-            intensities=made.picture.intensities.facts(),
-            blur_map=made.blur_map.name,
-        ),
-        **plane.placement,
+    facts = {
+        "noise_variance": made.noise_variance,
+        "intensities": made.picture.intensities.facts(),
+        "blur_map": made.blur_map.name,
     }
-    # A copy: what somebody paints on the layer is not kept.
-    return LayerDataTuple((plane.expanded(picture.copy()), keywords, "image"))
+    # A copy: what somebody paints on the layer is not cached.
+    return result_layer(
+        *(wanted.plane, result, picture.copy(), settings, facts),
+        rgb=picture.ndim == 3,
+        contrast_limits=_limits(wanted.plane, made.picture.intensities),
+    )
 
 
 def _limits(plane: Plane, intensities: Intensities) -> tuple[float, float]:

@@ -204,10 +204,6 @@ def shown_plane(layer: Image, dims: Dims) -> Plane:
     dims : napari.components.Dims
         The viewer's dimensions: which are displayed, and where its sliders are.
 
-    Returns
-    -------
-    Plane
-
     Raises
     ------
     NotAnalysableError

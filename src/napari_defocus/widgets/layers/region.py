@@ -71,10 +71,6 @@ def region_of(layer: Image, viewer: ViewerModel, choice: Choice) -> Region:
         of a layer that enclose something and are shown, or around the selected ones if any
         are selected. The shapes may lie on the picture by any transform.
 
-    Returns
-    -------
-    Region
-
     Raises
     ------
     NotAnalysableError

@@ -28,7 +28,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     NOT_TRUSTED,
     PLACEMENT,
     STORE,
-    provenance,
+    result_layer,
 )
 
 COLOR_MAP = "viridis"
@@ -70,28 +70,16 @@ def blur_map_layer(
         colour range.
     intensities : Intensities, optional
         What the variance is measured in.
-
-    Returns
-    -------
-    LayerDataTuple
     """
     psf = psf or settings.family()
     what = "" if psf.scale_name.endswith("radius (px)") else psf.scale_name.removesuffix("(px)")
-    keywords = {
-        "name": f"{plane.name} blur {what}(px)",
-        "colormap": COLOR_MAP,
-        "contrast_limits": (0.0, float(psf.max_scale)),
-        "metadata": provenance(
-            plane,
-            BLUR_MAP,
-            asdict(settings),
-            noise_variance=float(noise_variance),
-            intensities=_told(intensities),
-            scale=psf.scale_name,
-        ),
-        **plane.placement,
-    }
-    return LayerDataTuple((plane.expanded(blur_map), keywords, "image"))
+    return result_layer(
+        *(plane, BLUR_MAP, blur_map, asdict(settings)),
+        _noise(noise_variance, intensities) | {"scale": psf.scale_name},
+        name=f"blur {what}(px)",
+        colormap=COLOR_MAP,
+        contrast_limits=(0.0, float(psf.max_scale)),
+    )
 
 
 def confidence_layer(
@@ -101,42 +89,17 @@ def confidence_layer(
     noise_variance: float,
     intensities: Intensities | None = None,
 ) -> LayerDataTuple:
-    """Return the confidence of a blur map as an image layer that lies on the plane.
+    """Return the confidence of a blur map, in [0, 1], as an image layer: see `blur_map_layer`.
 
     It is hidden at first: it would cover the map.
-
-    Parameters
-    ----------
-    plane : Plane
-        What the map was estimated from.
-    confidence : (H, W) float ndarray
-        In [0, 1].
-    settings : MapSettings
-        What the map was estimated with.
-    noise_variance : float
-        The variance that was used, found or given; intensities in [0, 1].
-    intensities : Intensities, optional
-        What the variance is measured in.
-
-    Returns
-    -------
-    LayerDataTuple
     """
-    keywords = {
-        "name": f"{plane.name} confidence",
-        "colormap": CONFIDENCE_COLOR_MAP,
-        "contrast_limits": (0.0, 1.0),
-        "visible": False,
-        "metadata": provenance(
-            plane,
-            CONFIDENCE,
-            asdict(settings),
-            noise_variance=float(noise_variance),
-            intensities=_told(intensities),
-        ),
-        **plane.placement,
-    }
-    return LayerDataTuple((plane.expanded(confidence), keywords, "image"))
+    return result_layer(
+        *(plane, CONFIDENCE, confidence, asdict(settings)),
+        _noise(noise_variance, intensities),
+        colormap=CONFIDENCE_COLOR_MAP,
+        contrast_limits=(0.0, 1.0),
+        visible=False,
+    )
 
 
 def in_levels(layer: LayerDataTuple, levels: list[Any]) -> LayerDataTuple:
@@ -159,10 +122,6 @@ def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> Laye
         From `confidence_layer`, or of the layer that was made of it.
     min_confidence : float
         In [0, 1].
-
-    Returns
-    -------
-    LayerDataTuple
     """
     data, made_with, _ = confidence
     levels = list(data) if made_with.get("multiscale") else [data]
@@ -204,36 +163,23 @@ def in_focus_layer(
         What it was segmented with.
     estimation : MapSettings
         What the candidates were estimated with.
-    noise_variance : float
-        The variance that was used, found or given; intensities in [0, 1].
+    noise_variance, intensities
+        See `blur_map_layer`.
     seeds : str, optional
         Name of the layer of its seeds.
-    intensities : Intensities, optional
-        What the variance is measured in.
-
-    Returns
-    -------
-    LayerDataTuple
     """
-    keywords = {
-        "name": f"{plane.name} in focus",
-        "colormap": fixed_colors({1: MASK_COLOR}),
-        "opacity": MASK_OPACITY,
-        "metadata": provenance(
-            plane,
-            IN_FOCUS,
-            {**asdict(estimation), **asdict(settings)},
-            noise_variance=float(noise_variance),
-            intensities=_told(intensities),
-            seeds=seeds,
-        ),
-        **plane.placement,
-    }
-    return LayerDataTuple((plane.expanded(mask), keywords, "labels"))
+    return result_layer(
+        *(plane, IN_FOCUS, mask, asdict(estimation) | asdict(settings)),
+        _noise(noise_variance, intensities) | {"seeds": seeds},
+        kind="labels",
+        colormap=fixed_colors({1: MASK_COLOR}),
+        opacity=MASK_OPACITY,
+    )
 
 
-def _told(intensities: Intensities | None) -> dict[str, Any] | None:
-    return None if intensities is None else intensities.facts()
+def _noise(variance: float, intensities: Intensities | None) -> dict[str, Any]:
+    facts = None if intensities is None else intensities.facts()
+    return {"noise_variance": float(variance), "intensities": facts}
 
 
 def fixed_colors(color_of: dict[int, tuple[float, ...]]) -> DirectLabelColormap:

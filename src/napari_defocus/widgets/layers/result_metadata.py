@@ -10,6 +10,7 @@ from typing import Any
 from napari.components import LayerList
 from napari.layers import Image, Layer
 from napari.types import LayerDataTuple
+from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.widgets.layers.image_layers import Plane
@@ -94,6 +95,39 @@ def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any)
     return {METADATA_KEY: made | more}
 
 
+def result_layer(
+    plane: Plane,
+    result: str,
+    values: NDArray[Any],
+    settings: dict[str, Any],
+    more: dict[str, Any],
+    *,
+    name: str = "",
+    kind: str = "image",
+    **looks: Any,
+) -> LayerDataTuple:
+    """Return a result as a layer that lies on the plane that it was made from.
+
+    Parameters
+    ----------
+    plane, result, settings, more
+        See `provenance`.
+    values : (H, W) or (H, W, 3) ndarray
+    name : str, optional
+        What stands behind the plane's name; by default the result's.
+    kind : {"image", "labels"}, optional
+    **looks
+        Keywords of the layer.
+    """
+    keywords = {
+        "name": f"{plane.name} {name or result}",
+        "metadata": provenance(plane, result, settings, **more),
+        **looks,
+        **plane.placement,
+    }
+    return LayerDataTuple((plane.expanded(values), keywords, kind))
+
+
 def noise_description(given: float | None, variances: Collection[float]) -> str:
     """Return a line that says the noise variance of planes, and where it comes from.
 
@@ -116,10 +150,6 @@ def noise_description(given: float | None, variances: Collection[float]) -> str:
 
 def region_description(plane: Plane) -> dict[str, Any]:
     """Return what metadata say about a part of a plane.
-
-    Parameters
-    ----------
-    plane : Plane
 
     Returns
     -------

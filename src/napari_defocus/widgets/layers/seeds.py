@@ -83,10 +83,6 @@ def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
         What `shown_plane` returns for the same dimensions, or a part of it.
     dims : napari.components.Dims
 
-    Returns
-    -------
-    Seeds
-
     Raises
     ------
     ValueError
@@ -105,10 +101,6 @@ def seeds_of_plane(layer: Labels, plane: Plane) -> Seeds:
     layer : napari.layers.Labels
         With the axes of the stack, or of its planes alone: those seeds hold for every plane.
     plane : Plane
-
-    Returns
-    -------
-    Seeds
 
     Raises
     ------
@@ -154,11 +146,6 @@ def _layers_named(layer: Labels, plane: Plane) -> Iterator[None]:
 
 def add_seeds_layer(viewer: ViewerModel, image: Image) -> Labels:
     """Add an empty labels layer for the seeds of an image layer's planes, ready for the brush.
-
-    Parameters
-    ----------
-    viewer : napari.components.ViewerModel or napari.Viewer
-    image : napari.layers.Image
 
     Returns
     -------
