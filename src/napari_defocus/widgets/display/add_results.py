@@ -9,11 +9,11 @@ import numpy as np
 from napari.components import LayerList, ViewerModel
 from napari.layers import Labels, Layer, Surface
 from napari.types import LayerDataTuple
-from napari.utils.transforms import Affine
 from numpy.typing import NDArray
 
 from napari_defocus.widgets.display.cursor_text import show_under_cursor
 from napari_defocus.widgets.display.renaming import rename_with
+from napari_defocus.widgets.layers.image_layers import move_to
 from napari_defocus.widgets.layers.result_metadata import (
     AT,
     BEST_FOCUS,
@@ -153,9 +153,7 @@ def _showing(
         yield layer
         return
     _set_data(layer, data, keywords)
-    for name in PLACEMENT:
-        if name in keywords and not _is(getattr(layer, name), keywords[name]):
-            setattr(layer, name, keywords[name])
+    move_to(layer, {name: keywords[name] for name in PLACEMENT if name in keywords})
     layer.metadata = {**layer.metadata, **keywords["metadata"]}
     limits = keywords.get("contrast_limits")
     if limits is not None and tuple(layer.contrast_limits_range) != limits:
@@ -192,15 +190,6 @@ def prepare_napari() -> None:
     import napari_defocus.likelihood.candidates  # noqa: F401
 
     Labels(np.zeros((2, 2), np.uint8), features={"index": [0, 1]})
-
-
-def _is(now: Any, wanted: Any) -> bool:
-    """Tell whether a layer lies somewhere already: moving it there redraws all layers."""
-    if isinstance(now, Affine):
-        now = now.affine_matrix
-    if isinstance(wanted, tuple):
-        return tuple(now) == wanted
-    return bool(np.array_equal(now, wanted))
 
 
 def _is_plane_of(layer: Layer, data: Any, keywords: dict[str, Any]) -> bool:

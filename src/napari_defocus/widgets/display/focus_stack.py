@@ -160,21 +160,3 @@ def curve_along(curve: FocusCurve, layer: Image, dims: Dims, slider: int) -> Foc
         share_in_focus=curve.share_in_focus[tuple(at)],
         median_radius=curve.median_radius[tuple(at)],
     )
-
-
-def go_to_plane(layer: Image, dims: Dims, slider: int, plane: int) -> None:
-    """Move a slider of a viewer to a plane of a stack.
-
-    Parameters
-    ----------
-    layer : napari.layers.Image
-    dims : napari.components.Dims
-    slider : int
-        Which one of `sliders_of`.
-    plane : int
-        From 0.
-    """
-    axis = sliders_of(layer)[slider]
-    at = shown_position(layer, dims)
-    at[axis] = plane
-    dims.set_point(axis + dims.ndim - layer.ndim, layer.data_to_world(at)[axis])

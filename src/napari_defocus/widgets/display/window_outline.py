@@ -13,7 +13,7 @@ from napari.layers import Image, Shapes
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
-from napari_defocus.widgets.layers.image_layers import placement
+from napari_defocus.widgets.layers.image_layers import move_to, placement
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 PROBE = "probe"
@@ -69,7 +69,8 @@ class WindowOutline:
         if self._hidden and self.layer is not None:
             self.layer.visible = True
         self._hidden = False
-        self._follow(image)
+        if self.layer is not None:
+            move_to(self.layer, _placement(image))
         self.fit_zoom()
         return True
 
@@ -140,14 +141,6 @@ class WindowOutline:
         layers.events.removed.connect(self._on_removed)
         self._viewer.scene.camera.events.zoom.connect(self._on_zoom)
 
-    def _follow(self, image: Image) -> None:
-        """Lie where the image lies, should it have been moved."""
-        if self.layer is None:
-            return
-        for name, value in _placement(image).items():
-            if not _is_the_same(getattr(self.layer, name), value):
-                setattr(self.layer, name, value)
-
     def _on_zoom(self, _: Any = None) -> None:
         self.fit_zoom()
 
@@ -159,9 +152,3 @@ class WindowOutline:
 
 def _placement(image: Image) -> dict[str, Any]:
     return placement(image, (slice(None),) * image.ndim)
-
-
-def _is_the_same(shown: Any, wanted: Any) -> bool:
-    if isinstance(wanted, tuple):
-        return tuple(shown) == wanted
-    return np.allclose(getattr(shown, "affine_matrix", shown), wanted)

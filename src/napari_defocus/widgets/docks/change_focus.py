@@ -12,13 +12,13 @@ from napari.utils.notifications import show_warning
 from napari_defocus.core.checks import Linearize
 from napari_defocus.settings import MapSettings, RefocusSettings
 from napari_defocus.widgets.forms.from_map_panel import FromMapPanel
-from napari_defocus.widgets.forms.image_panel import Work
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
 from napari_defocus.widgets.forms.run_panel import wrap
 from napari_defocus.widgets.forms.side_field import side_field, side_note
 from napari_defocus.widgets.forms.slider_field import SliderField
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.estimation import LARGEST_RADIUS
+from napari_defocus.widgets.jobs.job import Job
 from napari_defocus.widgets.jobs.map_source import settings_of_map
 from napari_defocus.widgets.jobs.restoration import Refocusing, Restoration
 from napari_defocus.widgets.layers.picker import ClickPicker, value_at
@@ -181,11 +181,11 @@ class ChangeFocusWidget(FromMapPanel):
         with suppress(ValueError):
             work = self.work()
             if work.restoration == self._restored:
-                self._start_work(work)
+                self._start_job(work)
 
-    def _start_work(self, work: Work, action: str = "") -> Run:
-        self._started = work.restoration if isinstance(work, Refocusing) else None
-        return super()._start_work(work, action)
+    def _start_job(self, job: Job, action: str = "") -> Run:
+        self._started = job.restoration if isinstance(job, Refocusing) else None
+        return super()._start_job(job, action)
 
     def _show_results(self, results: Results) -> Iterator[Layer]:
         yield from super()._show_results(results)

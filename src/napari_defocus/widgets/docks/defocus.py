@@ -9,12 +9,12 @@ from napari.layers import Image
 from napari_defocus.core.checks import Linearize
 from napari_defocus.widgets.docks.tools import Tools
 from napari_defocus.widgets.forms.depth_form import DepthForm
-from napari_defocus.widgets.forms.image_panel import Work
 from napari_defocus.widgets.forms.pages import Pages
 from napari_defocus.widgets.forms.panel import DefocusPanel
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.distances import Distances
+from napari_defocus.widgets.jobs.job import Job
 from napari_defocus.widgets.jobs.large_analysis import is_large
 from napari_defocus.widgets.jobs.map_source import (
     EstimatedSource,
@@ -141,11 +141,11 @@ class DefocusWidget(DefocusPanel):
 
     def restore(self) -> Run | None:
         """Start to take the blur away, and return the run; None if it cannot be done."""
-        return self._run_work(self._restoration, self.restore_button.text)
+        return self._run_job(self._restoration, self.restore_button.text)
 
     def estimate_depth(self) -> Run | None:
         """Start to tell distances, and return the run; None if it cannot be done."""
-        return self._run_work(self._distances, self.depth_button.text)
+        return self._run_job(self._distances, self.depth_button.text)
 
     def read_lens(self) -> None:
         """Fill in what the photograph's file notes about its lens."""
@@ -171,6 +171,6 @@ class DefocusWidget(DefocusPanel):
             return source_of_layer(layer, plane, self._viewer, settings.psf)
         return EstimatedSource(settings=settings)
 
-    def _start_work(self, work: Work, action: str = "") -> Run:
+    def _start_job(self, job: Job, action: str = "") -> Run:
         self._live_labels.stop()
-        return super()._start_work(work, action)
+        return super()._start_job(job, action)

@@ -11,13 +11,13 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
 
 from napari_defocus import FocusCurve
-from napari_defocus.widgets.display.focus_stack import curve_along, go_to_plane, shown_planes
+from napari_defocus.widgets.display.focus_stack import curve_along, shown_planes, sliders_of
 from napari_defocus.widgets.export.map_files import saving_failure
 from napari_defocus.widgets.forms.curve_form import CurveForm
 from napari_defocus.widgets.forms.curve_plot import CurvePlot
 from napari_defocus.widgets.forms.run_panel import RunPanel
 from napari_defocus.widgets.forms.workers import Run
-from napari_defocus.widgets.layers.image_layers import plane_at
+from napari_defocus.widgets.layers.image_layers import move_slider, plane_at
 
 WAIT_MS = 100
 """Changes that follow each other more quickly are read once."""
@@ -218,7 +218,8 @@ class FocusCurveWidget(RunPanel):
             From 0, along the chosen slider.
         """
         if self.form.layer is not None:
-            go_to_plane(self.form.layer, self._viewer.dims, self.form.slider, plane)
+            axis = sliders_of(self.form.layer)[self.form.slider]
+            move_slider(self.form.layer, self._viewer.dims, axis, plane)
 
     def go_to_sharpest(self) -> None:
         """Show the plane with the most in focus along the chosen slider."""

@@ -152,7 +152,7 @@ class SharpestPlaneWidget(ImagePanel):
 
     def run(self) -> Run | None:
         """Start to compare the planes, and return the run; None if it cannot be done."""
-        return self._run_work(self.wanted)
+        return self._run_job(self.wanted)
 
     def _show_results(self, results: Results) -> Iterator[Layer]:
         layers = []

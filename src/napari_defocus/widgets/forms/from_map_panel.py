@@ -6,9 +6,10 @@ from magicgui.widgets import ComboBox, Widget
 from napari.components import ViewerModel
 from napari.layers import Image
 
-from napari_defocus.widgets.forms.image_panel import ImagePanel, Work
+from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.settings_form import SettingsForm
 from napari_defocus.widgets.forms.workers import Run
+from napari_defocus.widgets.jobs.job import Job
 from napari_defocus.widgets.jobs.map_source import (
     EstimatedSource,
     MapSource,
@@ -121,7 +122,7 @@ class FromMapPanel(ImagePanel):
             return None
         return settings.given_noise_variance()
 
-    def work(self) -> Work:
+    def work(self) -> Job:
         """Return what the form asks for now.
 
         Raises
@@ -135,4 +136,4 @@ class FromMapPanel(ImagePanel):
 
     def run(self) -> Run | None:
         """Start the work that the form asks for, and return it; None if it cannot be done."""
-        return self._run_work(self.work)
+        return self._run_job(self.work)

@@ -3,19 +3,19 @@
 import threading
 from collections.abc import Callable, Iterator
 from functools import cache, partial
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from magicgui.widgets import ComboBox
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 from napari.utils.notifications import show_info, show_warning
 
-from napari_defocus.core.progress import Progress
 from napari_defocus.widgets.display.add_results import add_results_stepwise, prepare_napari
 from napari_defocus.widgets.forms.region_field import RegionField
 from napari_defocus.widgets.forms.run_panel import RunPanel
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.estimation import JobCache
+from napari_defocus.widgets.jobs.job import Job
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, shown_plane
 from napari_defocus.widgets.layers.result_metadata import (
     MEASURED_PSF,
@@ -26,17 +26,6 @@ from napari_defocus.widgets.layers.result_metadata import (
 )
 
 T = TypeVar("T")
-
-
-class Work(Protocol):
-    """What is wanted of a plane."""
-
-    @property
-    def plane(self) -> Plane:
-        """What it is made of."""
-
-    def run(self, cache: JobCache, progress: Progress) -> Results:
-        """Make it."""
 
 
 @cache
@@ -109,7 +98,7 @@ class ImagePanel(RunPanel):
             show_warning(str(reason))
         return None
 
-    def _run_work(self, ask: Callable[[], Work], action: str = "") -> Run | None:
+    def _run_job(self, ask: Callable[[], Job], action: str = "") -> Run | None:
         """Start the work that the form asks for, and return it; None if it cannot be done.
 
         The results are in the viewer when the run's `finished` signal comes. While one runs,
@@ -117,15 +106,15 @@ class ImagePanel(RunPanel):
         """
         if self._running is not None:
             return self._running
-        work = self._asked_for(ask)
-        return None if work is None else self._start_work(work, action)
+        job = self._asked_for(ask)
+        return None if job is None else self._start_job(job, action)
 
-    def _start_work(self, work: Work, action: str = "") -> Run:
+    def _start_job(self, job: Job, action: str = "") -> Run:
         return self._start(
-            partial(work.run, self.cache),
+            partial(job.run, self.cache),
             self._show_results,
-            [work.plane],
-            f"{action or self.run_button.text}: {work.plane.name}",
+            [job.plane],
+            f"{action or self.run_button.text}: {job.plane.name}",
         )
 
     def _show_results(self, results: Results) -> Iterator[Layer]:

@@ -44,6 +44,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     NOT_TRUSTED,
     Results,
+    confidence_description,
     layer_of_result,
     made_by_us,
     noise_description,
@@ -460,7 +461,7 @@ def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | N
     lines = [noise_description(made["settings"]["noise_variance"], [made["noise_variance"]])]
     if confidence is not None:
         share = (confidence >= CONFIDENT).mean()
-        lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
+        lines.append(confidence_description(share))
         if share == 0:
             lines.append("Nothing can be known here: it has no texture that tells of blur.")
     return "\n".join(lines)

@@ -4,7 +4,7 @@ from magicgui.widgets import SpinBox
 from napari.components import Dims
 from napari.layers import Image
 
-from napari_defocus.widgets.layers.image_layers import finest, shown_position
+from napari_defocus.widgets.layers.image_layers import finest, move_slider, shown_position
 
 
 class SliderNumber(SpinBox):
@@ -49,9 +49,5 @@ class SliderNumber(SpinBox):
         self._layer, self._axis = layer, axis
 
     def _move(self, number: int) -> None:
-        layer = self._layer
-        if layer is not None:
-            at = shown_position(layer, self._dims)
-            at[self._axis] = number
-            first = self._dims.ndim - layer.ndim
-            self._dims.set_point(self._axis + first, layer.data_to_world(at)[self._axis])
+        if self._layer is not None:
+            move_slider(self._layer, self._dims, self._axis, number)

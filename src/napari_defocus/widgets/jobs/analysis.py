@@ -79,10 +79,8 @@ class Analysis:
 
         Parameters
         ----------
-        cache : JobCache
-            What earlier runs have found; what this one finds is added.
-        progress : callable, optional
-            See `napari_defocus.core.progress`.
+        cache, progress
+            See `Job.run`.
         preview : callable, optional
             Called with `preview` of a large picture as soon as there is one.
         """

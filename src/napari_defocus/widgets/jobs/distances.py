@@ -79,15 +79,7 @@ class Distances:
             )
 
     def run(self, cache: JobCache, progress: Progress = silent) -> Results:
-        """Return the distances as a layer, after those of the map if it was estimated.
-
-        Parameters
-        ----------
-        cache : JobCache
-            What earlier runs have found; what this one finds is added.
-        progress : callable, optional
-            See `napari_defocus.core.progress`.
-        """
+        """Return the distances as a layer, after those of the map if it was estimated."""
         picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
         blur_map = self.source.read(picture, cache, within(progress, 0.0, _MAP_SHARE))

@@ -24,6 +24,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     SHARPEST,
     Results,
+    confidence_description,
     provenance,
 )
 
@@ -103,13 +104,6 @@ class BestFocus:
 
     def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the picture, the positions and their confidence as layers.
-
-        Parameters
-        ----------
-        cache : JobCache
-            Nothing is added.
-        progress : callable, optional
-            See `napari_defocus.core.progress`.
 
         Raises
         ------
@@ -216,8 +210,7 @@ class BestFocus:
             lines.append(f"The blur grows by {found.px_per_plane:.2f} px a plane ({how})")
         else:
             lines.append("There is no texture to find by how much the blur grows.")
-        sure = (found.confidence >= CONFIDENT).mean()
-        lines.append(f"Confidence {CONFIDENT:g} or more on {sure:.0%}")
+        lines.append(confidence_description((found.confidence >= CONFIDENT).mean()))
         if known_axis(self._label_of_axis) == "t":
             lines.append(f"“{self._label_of_axis}” was taken for focus")
         return "\n".join(lines)

@@ -105,13 +105,7 @@ class LargeAnalysis:
     def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the wanted results as lazy layers that lie on the picture.
 
-        Parameters
-        ----------
-        cache : JobCache
-            Nothing is added: candidates of large pictures are not kept.
-        progress : callable, optional
-            See `napari_defocus.core.progress`. After an exception from it, nothing is left of the
-            stores.
+        Nothing is cached: the candidates of large pictures are larger than they are.
 
         Raises
         ------

@@ -21,6 +21,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     ALL_IN_FOCUS,
     REFOCUSED,
     Results,
+    confidence_description,
     noise_description,
     result_layer,
 )
@@ -58,15 +59,7 @@ class Restoration:
     protect: bool = True
 
     def run(self, cache: JobCache, progress: Progress = silent) -> Results:
-        """Return the all-in-focus picture as a layer, after those of its map if it was estimated.
-
-        Parameters
-        ----------
-        cache : JobCache
-            What earlier runs have found; what this one finds is added.
-        progress : callable, optional
-            See `napari_defocus.core.progress`.
-        """
+        """Return the all-in-focus picture as a layer, after those of a map that was estimated."""
         made = self.made(cache, progress)
         layer = _picture_layer(self, made, made.sharp, ALL_IN_FOCUS)
         return Results([*made.blur_map.layers, layer], self.summary(made))
@@ -114,8 +107,7 @@ class Restoration:
         lines = [noise_description(self.settings.noise_variance, [made.noise_variance])]
         confidence = made.blur_map.confidence
         if confidence is not None:
-            share = (confidence >= CONFIDENT).mean()
-            lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
+            lines.append(confidence_description((confidence >= CONFIDENT).mean()))
         elif self.protect:
             lines.append("Nothing is protected: the map has no confidence layer.")
         return "\n".join(lines)
@@ -164,13 +156,7 @@ class Refocusing:
     def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the picture as a layer, after those of its map if it was estimated.
 
-        Parameters
-        ----------
-        cache : JobCache
-            What earlier runs have found; what this one finds is added. With another view
-            of the same restored picture, that one is only blurred again.
-        progress : callable, optional
-            See `napari_defocus.core.progress`.
+        With another view of the same restored picture, that one is only blurred again.
         """
         from napari_defocus import change_focus
 

@@ -25,6 +25,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     PLANES,
     Results,
+    confidence_description,
     noise_description,
 )
 from napari_defocus.widgets.layers.result_stores import (
@@ -107,15 +108,8 @@ class StackAnalysis:
         """Return the wanted results as layers that lie on the stack.
 
         A plane that cannot be analysed is NaN in the map and 0 in the mask and the confidence;
-        the summary and the metadata say why.
-
-        Parameters
-        ----------
-        cache : JobCache
-            What earlier runs have found; what this one finds of `plane` is added, and of no
-            other plane.
-        progress : callable, optional
-            See `napari_defocus.core.progress`.
+        the summary and the metadata say why. What is found of `plane` is cached, and of no
+        other plane.
 
         Raises
         ------
@@ -222,8 +216,7 @@ class StackAnalysis:
         noise = noise_description(self.estimation.noise_variance, variances)
         lines = [f"{count} plane{'s' * (count != 1)}", noise]
         if CONFIDENCE in found.values:
-            share = found.share_sure()
-            lines.append(f"Confidence {CONFIDENT:g} or more on {share:.0%}")
+            lines.append(confidence_description(float(np.mean(found.sure))))
         where = [self.place.lifetime_text()] * self.is_large
         return "\n".join([*lines, *found.refusals(), *where])
 
@@ -279,10 +272,6 @@ class _Found:
         for result, values in self.values.items():
             if isinstance(values, OmeZarrWriter):
                 values[_whole(plane)] = np.full(plane.shape, _unknown(result), values.dtype)
-
-    def share_sure(self) -> float:
-        """Return the share of the analysed pixels whose confidence is high."""
-        return float(np.mean(self.sure))
 
     def refusals(self) -> list[str]:
         """Return a line for every reason why planes were not analysed."""

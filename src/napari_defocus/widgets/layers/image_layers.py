@@ -275,6 +275,26 @@ def shown_position(layer: Layer, dims: Dims) -> NDArray[np.int_]:
     return np.round(layer.world_to_data(point)).astype(int)
 
 
+def move_slider(layer: Layer, dims: Dims, axis: int, number: int) -> None:
+    """Move the slider of a layer's axis to where that has this number, in px from 0."""
+    at = shown_position(layer, dims)
+    at[axis] = number
+    dims.set_point(axis + dims.ndim - layer.ndim, layer.data_to_world(at)[axis])
+
+
+def move_to(layer: Layer, placed: dict[str, Any]) -> None:
+    """Let a layer lie where keywords say; what lies there already is not drawn again."""
+    for name, wanted in placed.items():
+        now = getattr(layer, name)
+        if isinstance(wanted, tuple):
+            is_there = tuple(now) == wanted
+        else:
+            now, wanted = (getattr(each, "affine_matrix", each) for each in (now, wanted))
+            is_there = np.allclose(now, wanted, rtol=1e-9, atol=1e-12)  # napari rounds
+        if not is_there:
+            setattr(layer, name, wanted)
+
+
 def placement(layer: Image, index: tuple[int | slice, ...]) -> dict[str, Any]:
     """Return where a plane of a layer lies, as keywords of a new layer, see `Plane`."""
     placed = {

@@ -13,6 +13,7 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
+from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.layers.image_layers import Plane
 
 METADATA_KEY = "napari_defocus"
@@ -146,6 +147,11 @@ def noise_description(given: float | None, variances: Collection[float]) -> str:
     low, high = float(min(variances)), float(max(variances))
     span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
     return f"Noise variance {span} ({'found' if given is None else 'given'})"
+
+
+def confidence_description(share: float) -> str:
+    """Return a line that says on what share of the pixels the confidence is high."""
+    return f"Confidence {CONFIDENT:g} or more on {share:.0%}"
 
 
 def region_description(plane: Plane) -> dict[str, Any]:
