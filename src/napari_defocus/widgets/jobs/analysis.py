@@ -31,7 +31,12 @@ from napari_defocus.widgets.layers.result_layers import (
     confidence_layer,
     in_focus_layer,
 )
-from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
+from napari_defocus.widgets.layers.result_metadata import (
+    BLUR_MAP,
+    CONFIDENCE,
+    IN_FOCUS,
+    METADATA_KEY,
+)
 from napari_defocus.widgets.layers.seeds import Seeds
 
 if TYPE_CHECKING:
@@ -41,8 +46,8 @@ Preview = Callable[[list[LayerDataTuple]], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Analysis:
-    """What is wanted of a plane.
+class Wanted:
+    """Which results are wanted of a plane, or of several, and what makes them.
 
     Attributes
     ----------
@@ -51,8 +56,6 @@ class Analysis:
         What the candidates are estimated with, and the map labelled.
     mask : MaskSettings or None
         What is segmented with; None for no mask.
-    seeds : Seeds or None
-        What the mask keeps to.
     blur_map : bool
         Whether a blur map is wanted.
     confidence : bool
@@ -62,7 +65,6 @@ class Analysis:
     plane: Plane
     estimation: MapSettings
     mask: MaskSettings | None = None
-    seeds: Seeds | None = None
     blur_map: bool = True
     confidence: bool = True
 
@@ -71,6 +73,27 @@ class Analysis:
         family = self.estimation.family()
         if self.mask is not None:
             check_threshold(self.mask.threshold, family.max_scale)
+
+    @property
+    def dtypes(self) -> dict[str, type]:
+        """The dtypes of the wanted results, by what `result_metadata` calls these."""
+        wanted: dict[str, type] = {BLUR_MAP: np.float32} if self.blur_map else {}
+        if self.blur_map and self.confidence:
+            wanted[CONFIDENCE] = np.float32
+        return wanted | ({IN_FOCUS: np.uint8} if self.mask is not None else {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis(Wanted):
+    """What is wanted of one plane.
+
+    Attributes
+    ----------
+    seeds : Seeds or None
+        What the mask keeps to.
+    """
+
+    seeds: Seeds | None = None
 
     def run(
         self, cache: JobCache, progress: Progress = silent, preview: Preview | None = None

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from napari.layers import Labels
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
-from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
-from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
+from napari_defocus.settings import CONFIDENT
+from napari_defocus.widgets.jobs.analysis import Wanted
 from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import TiledJob, measure_into
 from napari_defocus.widgets.layers.image_layers import LARGEST_IN_MEMORY, Plane
@@ -41,13 +43,14 @@ from napari_defocus.widgets.layers.result_stores import (
 )
 from napari_defocus.widgets.layers.seeds import seeds_of_plane
 
-_DTYPES = {"blur_map": np.float32, "confidence": np.float32, "mask": np.uint8}
-_RESULTS = {"blur_map": BLUR_MAP, "confidence": CONFIDENCE, "mask": IN_FOCUS}
+_NAMES = {BLUR_MAP: "blur_map", CONFIDENCE: "confidence", IN_FOCUS: "mask"}
+"""What `measure_into` calls the results."""
+
 _WITH_PYRAMID = 4 / 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class LargeAnalysis:
+class LargeAnalysis(Wanted):
     """What is wanted of a plane, or of all planes, too large for memory.
 
     It is measured part by part in another process. Results are kept in OME-Zarr stores, and
@@ -55,12 +58,8 @@ class LargeAnalysis:
 
     Attributes
     ----------
-    plane : Plane
-    estimation : MapSettings
-    mask : MaskSettings or None
     seeds : napari.layers.Labels or None
         What the mask keeps to, as in `StackAnalysis`.
-    blur_map, confidence : bool
     all_planes : bool
         Whether the planes at all other positions of the sliders are wanted, too.
     place : Place
@@ -72,7 +71,8 @@ class LargeAnalysis:
 
     >>> import numpy as np
     >>> from napari.components import ViewerModel
-    >>> from napari_defocus.widgets.jobs.estimation import JobCache
+    >>> from napari_defocus.widgets.jobs.analysis import Wanted
+    from napari_defocus.widgets.jobs.estimation import JobCache
     >>> from napari_defocus.widgets.layers.image_layers import shown_plane
     >>> from napari_defocus.widgets.display.add_results import add_results
     >>> viewer = ViewerModel()
@@ -83,24 +83,16 @@ class LargeAnalysis:
     ['slide blur (px)', 'slide confidence']
     """
 
-    plane: Plane
-    estimation: MapSettings
-    mask: MaskSettings | None = None
     seeds: Labels | None = None
-    blur_map: bool = True
-    confidence: bool = True
     all_planes: bool = False
     place: Place = UNTIL_CLOSED
 
     def __post_init__(self) -> None:
         """Refuse, before any work is done, what cannot be."""
-        family = self.estimation.family()
-        if self.mask is not None:
-            check_threshold(self.mask.threshold, family.max_scale)
+        super().__post_init__()
         self._letters()
-        pixels = int(np.prod(self._shape()))
-        sizes = [np.dtype(_DTYPES[name]).itemsize for name in self._wanted()]
-        self.place.check_room(int(_WITH_PYRAMID * pixels * sum(sizes)))
+        sizes = [np.dtype(dtype).itemsize for dtype in self.dtypes.values()]
+        self.place.check_room(int(_WITH_PYRAMID * np.prod(self._shape()) * sum(sizes)))
 
     def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the wanted results as lazy layers that lie on the picture.
@@ -116,18 +108,11 @@ class LargeAnalysis:
         work = self._work()
         writers: dict[str, OmeZarrWriter] = {}
         with whole_or_gone(writers):
-            for name in self._wanted():
-                writers[name] = self._new_store(name)
+            for result in self.dtypes:
+                writers[_NAMES[result]] = self._new_store(result)
             found = run_elsewhere(measure_into, work, writers, progress=progress)
-        return self._results(writers, *found)
-
-    def _wanted(self) -> list[str]:
-        wanted = {
-            "blur_map": self.blur_map,
-            "confidence": self.blur_map and self.confidence,
-            "mask": self.mask is not None,
-        }
-        return [name for name, is_wanted in wanted.items() if is_wanted]
+        stores = {result: writers[_NAMES[result]].path for result in self.dtypes}
+        return self._results(stores, *found)
 
     def _work(self) -> TiledJob:
         plane, letters = self.plane, self._letters()
@@ -178,14 +163,14 @@ class LargeAnalysis:
     def _at(self, position: tuple[int, ...]) -> Plane:
         return self.plane.at_position(position) if self.all_planes else self.plane
 
-    def _new_store(self, name: str) -> OmeZarrWriter:
+    def _new_store(self, result: str) -> OmeZarrWriter:
         own = dict(zip(self._letters(), self._own_axes(), strict=True))
         return self.place.new_store(
-            _RESULTS[name],
+            result,
             self.plane,
             axes={letter: own[letter] for letter in self._stored()},
             shape=self._shape(),
-            dtype=_DTYPES[name],
+            dtype=self.dtypes[result],
             estimation=self.estimation,
             mask=self.mask,
         )
@@ -197,14 +182,14 @@ class LargeAnalysis:
 
     def _results(
         self,
-        writers: dict[str, OmeZarrWriter],
+        stores: dict[str, Path],
         noise: NDArray[np.float64],
         intensities: list[Intensities],
     ) -> Results:
         first, variance = self._at((0,) * noise.ndim), float(np.median(noise))
         layers = []
-        for name, writer in writers.items():
-            layer = self._layer(name, first, variance, intensities[0])
+        for result, store in stores.items():
+            layer = self._layer(result, first, variance, intensities[0])
             if self.all_planes:
                 layer[1]["metadata"][METADATA_KEY][PLANES] = {
                     "axes": self.plane.sliders,
@@ -213,17 +198,17 @@ class LargeAnalysis:
                     "not analysed": {},
                 }
             on = None if self.all_planes else first
-            layers.append(self.place.layer(layer, writer.path, self._letters(), on))
+            layers.append(self.place.layer(layer, store, self._letters(), on))
         return Results(layers, self._summary(noise, layers))
 
     def _layer(
-        self, name: str, plane: Plane, variance: float, intensities: Intensities
+        self, result: str, plane: Plane, variance: float, intensities: Intensities
     ) -> LayerDataTuple:
         """Return what the layer of a result looks like, without its values."""
-        none = np.zeros((1, 1), _DTYPES[name])
-        if name == "blur_map":
+        none: NDArray[Any] = np.zeros((1, 1), self.dtypes[result])
+        if result == BLUR_MAP:
             return blur_map_layer(plane, none, self.estimation, variance, intensities=intensities)
-        if name == "confidence":
+        if result == CONFIDENCE:
             return confidence_layer(plane, none, self.estimation, variance, intensities)
         assert self.mask is not None
         seeds = None if self.seeds is None else self.seeds.name

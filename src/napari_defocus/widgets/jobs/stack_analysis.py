@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
-from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
-from napari_defocus.widgets.jobs.analysis import Analysis
+from napari_defocus.settings import CONFIDENT
+from napari_defocus.widgets.jobs.analysis import Analysis, Wanted
 from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
-    IN_FOCUS,
     METADATA_KEY,
     PLANES,
     Results,
@@ -45,34 +44,21 @@ Position = tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class StackAnalysis:
+class StackAnalysis(Wanted):
     """What is wanted of all planes of a stack.
+
+    `plane` is one of them, or a part of it, such as the one that is shown; the others are those
+    at all other positions of the axes that are not displayed. Of a single picture, there are none.
 
     Attributes
     ----------
-    plane : Plane
-        One of them, or a part of it, such as the one that is shown; the others are those at all
-        other positions of the axes that are not displayed. Of a single picture, there are none.
-    estimation : MapSettings
-        What the candidates are estimated with, and the maps labelled.
-    mask : MaskSettings or None
-        What is segmented with; None for no mask.
     seeds : napari.layers.Labels or None
         What the mask keeps to. Each plane has its own if the layer has the axes of the stack.
-    blur_map : bool
-        Whether a blur map is wanted.
-    confidence : bool
-        Whether the blur map's confidence is wanted too.
     place : Place
         Where results are kept that do not fit into memory, see `is_large`.
     """
 
-    plane: Plane
-    estimation: MapSettings
-    mask: MaskSettings | None = None
     seeds: Labels | None = None
-    blur_map: bool = True
-    confidence: bool = True
     place: Place = UNTIL_CLOSED
 
     def __post_init__(self) -> None:
@@ -90,7 +76,7 @@ class StackAnalysis:
     @property
     def _size(self) -> int:
         """Return how many bytes the results fill."""
-        sizes = (np.dtype(dtype).itemsize for dtype in self._dtypes().values())
+        sizes = (np.dtype(dtype).itemsize for dtype in self.dtypes.values())
         return sum(sizes) * int(np.prod(self.shape))
 
     @property
@@ -118,11 +104,11 @@ class StackAnalysis:
         """
         if not self.is_large:
             return self._analysed(
-                {name: self._empty(name) for name in self._dtypes()}, cache, progress
+                {name: self._empty(name) for name in self.dtypes}, cache, progress
             )
         writers: dict[str, OmeZarrWriter] = {}
         with whole_or_gone(writers), disk_errors_refused():
-            for name in self._dtypes():
+            for name in self.dtypes:
                 writers[name] = self._new_store(name)
             return self._analysed(writers, cache, progress)
 
@@ -157,15 +143,8 @@ class StackAnalysis:
             confidence=self.confidence,
         )
 
-    def _dtypes(self) -> dict[str, type]:
-        """Return the dtypes of the wanted results."""
-        wanted: dict[str, type] = {BLUR_MAP: np.float32} if self.blur_map else {}
-        if self.blur_map and self.confidence:
-            wanted[CONFIDENCE] = np.float32
-        return wanted | ({IN_FOCUS: np.uint8} if self.mask is not None else {})
-
     def _empty(self, result: str) -> NDArray[Any]:
-        return np.full(self.shape, _unknown(result), self._dtypes()[result])
+        return np.full(self.shape, _unknown(result), self.dtypes[result])
 
     def _letters(self) -> str:
         plane = self.plane
@@ -177,7 +156,7 @@ class StackAnalysis:
             self.plane,
             axes=dict(zip(self._letters(), range(len(self.shape)), strict=True)),
             shape=self.shape,
-            dtype=self._dtypes()[result],
+            dtype=self.dtypes[result],
             estimation=self.estimation,
             mask=self.mask,
         )
