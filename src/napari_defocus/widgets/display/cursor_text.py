@@ -14,6 +14,7 @@ from napari.layers import Image, Layer
 
 from napari_defocus.psf.families import Disc
 from napari_defocus.settings import CONFIDENT
+from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.picker import value_at
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
@@ -45,8 +46,7 @@ def show_under_cursor(viewer: ViewerModel) -> None:
     if _on_status in emitter.callbacks:
         return
     emitter.connect(_on_status)
-    # Plugins are lent a proxy; the viewer itself is what lives and dies.
-    alive = weakref.ref(getattr(viewer, "__wrapped__", viewer))
+    alive = weakref.ref(unwrapped(viewer))
     viewer.tooltip.events.text.connect(lambda _: _on_tooltip(alive()))
 
 

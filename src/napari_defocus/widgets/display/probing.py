@@ -12,6 +12,7 @@ from napari.layers import Image, Layer
 from numpy.typing import NDArray
 
 from napari_defocus.widgets.jobs.estimation import JobCache
+from napari_defocus.widgets.layers.image_layers import corner, picture_axes, unwrapped
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     IN_FOCUS,
@@ -76,7 +77,7 @@ def probed(
     from napari_defocus import explain_pixel
 
     known = _known(viewer, layer, cache)
-    image, plane, candidates = _itself(layer), known.picture.plane, known.candidates
+    image, plane, candidates = unwrapped(layer), known.picture.plane, known.candidates
     row, column = pixel_at(image, plane.index, candidates.image_shape, position)
     found = known.blur_map
     explanation = explain_pixel(
@@ -94,7 +95,7 @@ def probed(
 def _known(viewer: ViewerModel, layer: Image | None, cache: JobCache) -> "Analysed":
     if layer is None:
         raise NothingKnownError("There is no image. Open one and measure it first.")
-    known = cache.analysed.latest(_itself(layer))
+    known = cache.analysed.latest(unwrapped(layer))
     if known is None:
         of_layer = (results_of(viewer.layers, name, layer.name) for name in (BLUR_MAP, IN_FOCUS))
         if any(STORE in result.metadata[METADATA_KEY] for found in of_layer for result in found):
@@ -137,7 +138,7 @@ def pixel_at(
     if any(isinstance(i, int) and i != k for i, k in zip(index, nearest, strict=True)):
         measured = ", ".join(str(i) for i in index if isinstance(i, int))
         raise NothingKnownError(f"This plane was not measured; plane {measured} was.")
-    row, column = (nearest - _first_pixel(index))[_plane_axes(index)]
+    row, column = (nearest - corner(index))[picture_axes(index)]
     if not (0 <= row < shape[0] and 0 <= column < shape[1]):
         raise NothingKnownError(_OUTSIDE)
     return int(row), int(column)
@@ -155,17 +156,9 @@ def corners_of(
     """
     height, width = shape
     top, left, bottom, right = np.clip(window, 0, [height - 1, width - 1] * 2)
-    corners = np.tile(_first_pixel(index).astype(float), (4, 1))
-    corners[:, _plane_axes(index)] += [(top, left), (top, right), (bottom, right), (bottom, left)]
+    corners = np.tile(np.array(corner(index), float), (4, 1))
+    corners[:, picture_axes(index)] += [(top, left), (top, right), (bottom, right), (bottom, left)]
     return corners
-
-
-def _plane_axes(index: tuple[int | slice, ...]) -> list[int]:
-    return [axis for axis, at in enumerate(index) if not isinstance(at, int)]
-
-
-def _first_pixel(index: tuple[int | slice, ...]) -> NDArray[np.int64]:
-    return np.array([at if isinstance(at, int) else at.start or 0 for at in index])
 
 
 def image_of(layers: Any, layer: Layer | None) -> Image | None:
@@ -184,7 +177,7 @@ def image_to_probe(viewer: ViewerModel, cache: JobCache) -> Image | None:
     active = image_of(viewer.layers, viewer.layers.selection.active)
     # The active one last, so that it is taken if several will do.
     ordered = sorted(pictures_in(viewer.layers), key=lambda image: image is active)
-    known = [image for image in ordered if cache.analysed.latest(_itself(image)) is not None]
+    known = [image for image in ordered if cache.analysed.latest(unwrapped(image)) is not None]
     return (known or ordered or [None])[-1]
 
 
@@ -192,8 +185,3 @@ def may_pin(viewer: ViewerModel) -> bool:
     """Tell whether a click means nothing else: no brush and no other tool is at work."""
     active = viewer.layers.selection.active
     return active is None or str(active.mode) == "pan_zoom"
-
-
-def _itself(layer: Any) -> Any:
-    """Return the layer behind the proxy that plugins are lent."""
-    return getattr(layer, "__wrapped__", layer)

@@ -22,6 +22,7 @@ from napari_defocus.widgets.layers.image_layers import (
     Plane,
     check_pixels,
     finest,
+    picture_axes,
     shown_index,
     shown_plane,
 )
@@ -169,7 +170,7 @@ def _shown(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None
 
 def _pixels(plane: Plane) -> dict[str, Any]:
     """Return the size of a pixel, and its unit; nothing if units are no lengths."""
-    across = [axis for axis, at in enumerate(plane.index) if isinstance(at, slice)][-2:]
+    across = picture_axes(plane.index)
     units = [plane.placement["units"][axis] for axis in across]
     if not all(unit.is_compatible_with("meter") for unit in units):
         return {}

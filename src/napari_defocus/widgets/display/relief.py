@@ -18,8 +18,12 @@ from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.display.view_state import CameraView, ViewState, show_alone, view_state
 from napari_defocus.widgets.jobs.distances import above, upright
 from napari_defocus.widgets.jobs.estimation import Picture
-from napari_defocus.widgets.jobs.map_source import confidence_of
-from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, shown_plane
+from napari_defocus.widgets.jobs.map_source import confidence_of, plane_on
+from napari_defocus.widgets.layers.image_layers import (
+    Plane,
+    shown_plane,
+    unwrapped,
+)
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     DEPTH,
@@ -109,7 +113,7 @@ def show_relief(
     (2, True)
     """
     _check(exaggeration, heights, min_confidence)
-    viewer, image_layer = _themselves(viewer, image_layer)
+    viewer, image_layer = unwrapped(viewer), unwrapped(image_layer)
     earlier = view_state(viewer)
     view = earlier.view_of(image_layer) if earlier is not None else None
     hide_relief(viewer)
@@ -129,7 +133,7 @@ def wanted_relief(
 ) -> Callable[[], Surface]:
     """Return what makes the surface of `show_relief`, which see, in any thread."""
     _check(exaggeration, heights, min_confidence)
-    viewer, image_layer = _themselves(viewer, image_layer)
+    viewer, image_layer = unwrapped(viewer), unwrapped(image_layer)
     plane = shown_plane(image_layer, viewer.dims)
     layer, found = _map_of(plane, viewer, heights)
     confidence = confidence_of(layer, found, viewer)
@@ -149,19 +153,13 @@ def show_made_relief(
     viewer: ViewerModel, image_layer: Image, relief: Surface, view: CameraView | None = None
 ) -> Surface:
     """Show the surface that `wanted_relief` has made, instead of everything else."""
-    viewer, image_layer = _themselves(viewer, image_layer)
+    viewer, image_layer = unwrapped(viewer), unwrapped(image_layer)
     hide_relief(viewer)
     state = ViewState(viewer, image_layer)
     state.relief = weakref.ref(viewer.add_layer(relief))
     _look_at(viewer, relief, view)
     state.wait()
     return relief
-
-
-def _themselves(viewer: ViewerModel, layer: Image) -> tuple[ViewerModel, Image]:
-    # Plugins are lent proxies; the viewer and the layer themselves are what live and die.
-    viewer, layer = (getattr(lent, "__wrapped__", lent) for lent in (viewer, layer))
-    return viewer, layer
 
 
 def hide_relief(viewer: ViewerModel) -> bool:
@@ -212,17 +210,7 @@ def _map_of(plane: Plane, viewer: ViewerModel, heights: str) -> tuple[Image, Pla
     layer = layer_of_result(viewer.layers, result, plane.name)
     if layer is None:
         raise ValueError(f"“{plane.name}” has no {name} yet. Estimate them first.")
-    try:
-        found = shown_plane(layer, viewer.dims)
-    except NotAnalysableError as reason:
-        raise ValueError(f"“{layer.name}” cannot be the relief: {reason}") from None
-    if found.shape != plane.shape:
-        sizes = [f"{height} x {width} px" for height, width in (found.shape, plane.shape)]
-        raise ValueError(
-            f"“{layer.name}” cannot be the relief of “{plane.name}”: it has {sizes[0]}, the "
-            f"picture {sizes[1]}."
-        )
-    return layer, found
+    return layer, plane_on(layer, plane, viewer, "relief")
 
 
 def _largest_scale(layer: Image) -> float:

@@ -6,6 +6,7 @@ from typing import Any
 from napari.components import ViewerModel
 from napari.layers import Layer
 
+from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY, made_by_us
 
 
@@ -31,6 +32,6 @@ class _Renaming:
 
 def rename_with(viewer: ViewerModel, picture: Layer) -> None:
     """Let the results of a picture be renamed when it is, from now on; once or often is one."""
-    viewer, picture = (getattr(lent, "__wrapped__", lent) for lent in (viewer, picture))
+    viewer, picture = unwrapped(viewer), unwrapped(picture)
     if not any(isinstance(each, _Renaming) for each in picture.events.name.callbacks):
         picture.events.name.connect(_Renaming(viewer, picture))

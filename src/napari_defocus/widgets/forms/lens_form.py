@@ -109,7 +109,7 @@ class LensForm:
             If it is a measured one, and no file is given.
         """
         if self.lens.value == MEASURED:
-            if self.file.value in (None, Path(), Path()):
+            if self.file.value in (None, Path()):
                 raise ValueError("Choose the file of the measured lens first.")
             return str(self.file.value)
         values = (f"{field.value:g}" for field in self._needed())

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -23,21 +22,6 @@ STEPS = 100
 
 _running: set["Run"] = set()
 """Keeps a run alive until its thread has ended, whatever becomes of its widget."""
-
-
-@dataclass(frozen=True)
-class _Done:
-    value: Any
-
-
-@dataclass(frozen=True)
-class _Refused:
-    reason: str
-
-
-@dataclass(frozen=True)
-class _Failed:
-    error: Exception
 
 
 class _ProgressBar(cancelable_progress):
@@ -136,17 +120,21 @@ class Run(QObject):
         """Whether it was asked to end."""
         return bool(self._worker.abort_requested)
 
-    def _work(self) -> _Done | _Refused | _Failed | None:
+    def _work(self) -> tuple[str, Any]:
+        """Return how the function has ended, and its value or what has stopped it.
+
+        Nothing in it refers to the run, which must not go in the worker thread.
+        """
         try:
-            return _Done(self._function(self._report))
+            return "done", self._function(self._report)
         except Cancelled:
-            return None
+            return "cancelled", None
         except (ValueError, TypeError) as error:
-            return _Refused(str(error))
+            return "refused", str(error)
         except MemoryError:
-            return _Refused("there is not enough memory for it. Crop it first.")
+            return "refused", "there is not enough memory for it. Crop it first."
         except Exception as error:  # a defect: napari shows it once, in the main thread
-            return _Failed(error)
+            return "failed", error
 
     def _report(self, step: str, done: float) -> None:
         if self.is_cancelled:
@@ -174,15 +162,15 @@ class Run(QObject):
         if not self.is_cancelled:
             self.previewed.emit(value)
 
-    def _on_returned(self, result: _Done | _Refused | _Failed) -> None:
+    def _on_returned(self, result: tuple[str, Any]) -> None:
         if self.is_cancelled:
             return
         match result:
-            case _Done(value):
+            case "done", value:
                 self.returned.emit(value)
-            case _Refused(reason):
+            case "refused", reason:
                 self.refused.emit(reason)
-            case _Failed(error):
+            case "failed", error:
                 notification_manager.receive_error(type(error), error, error.__traceback__)
 
     def _on_finished(self) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 from napari.layers import Image
 from numpy.typing import NDArray
 
+from napari_defocus.widgets.layers.image_layers import unwrapped
+
 T = TypeVar("T")
 
 
@@ -73,7 +75,7 @@ class LayerCache(Generic[T]):
 
     def latest(self, layer: Image) -> T | None:
         """Return what was found of a layer last, whatever of."""
-        layer = getattr(layer, "__wrapped__", layer)
+        layer = unwrapped(layer)
         with self._lock:
             _, found = self._found.get(weakref.ref(layer), (None, None))
             return found

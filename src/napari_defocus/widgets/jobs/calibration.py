@@ -12,7 +12,12 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, plane_at
+from napari_defocus.widgets.layers.image_layers import (
+    NotAnalysableError,
+    Plane,
+    plane_at,
+    unwrapped,
+)
 from napari_defocus.widgets.layers.result_layers import kernels_layer
 
 if TYPE_CHECKING:
@@ -129,7 +134,7 @@ def planes_of(layer: Image) -> list[Plane]:
     NotAnalysableError
         If the layer has more axes.
     """
-    layer = getattr(layer, "__wrapped__", layer)
+    layer = unwrapped(layer)
     both = slice(None), slice(None)
     if layer.ndim == 2:
         return [plane_at(layer, both)]

@@ -17,7 +17,7 @@ from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource
-from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.image_layers import Plane, picture_axes
 from napari_defocus.widgets.layers.result_metadata import (
     DEPTH,
     DEPTH_SURFACE,
@@ -180,11 +180,10 @@ def _limits(depth: Float32) -> tuple[float, float]:
 
 def _axes(plane: Plane) -> tuple[int, int, int]:
     """Return along which axes of the surface its height, rows and columns run."""
-    rows, columns = (axis for axis, at in enumerate(plane.index) if not isinstance(at, int))
+    rows, columns = picture_axes(plane.index)
     if len(plane.index) == 2:
         return 0, 1, 2
-    height = max(axis for axis, at in enumerate(plane.index) if isinstance(at, int))
-    return height, rows, columns
+    return max(plane.sliders), rows, columns
 
 
 def above(surface: DepthSurface, plane: Plane) -> tuple[Float32, NDArray[np.int32], Float32 | None]:

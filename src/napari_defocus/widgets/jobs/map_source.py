@@ -226,21 +226,11 @@ def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -
         If the layer shows no plane of the same height and width, or one of another part of the
         picture, or the lens cannot be.
     """
-    name = layer.name
-    try:
-        found = shown_plane(layer, viewer.dims)
-    except NotAnalysableError as reason:
-        raise ValueError(f"“{name}” cannot be the blur map of “{plane.name}”: {reason}") from None
-    found = _same_part(found, plane)
-    if found.shape != plane.shape:
-        sizes = [f"{height} x {width} px" for height, width in (found.shape, plane.shape)]
-        raise ValueError(
-            f"“{name}” cannot be the blur map of “{plane.name}”: it has {sizes[0]}, the picture "
-            f"{sizes[1]}."
-        )
+    found = plane_on(layer, plane, viewer, "blur map")
     if plane.is_part and not lies_on(layer, found.index, plane):
         raise ValueError(
-            f"“{name}” cannot be the blur map of “{plane.name}”: it lies on another part of it."
+            f"“{layer.name}” cannot be the blur map of “{plane.name}”: it lies on another part of "
+            "it."
         )
     made = settings_of_map(layer)
     return LayerSource(
@@ -250,6 +240,25 @@ def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -
         confidence=confidence_of(layer, found, viewer),
         made_with=made,
     )
+
+
+def plane_on(layer: Image, plane: Plane, viewer: ViewerModel, role: str) -> Plane:
+    """Return the plane of a layer that a viewer shows, or the part of it that a plane is.
+
+    Raises
+    ------
+    ValueError
+        If there is none of the same height and width; the message says in which role.
+    """
+    cannot = f"“{layer.name}” cannot be the {role} of “{plane.name}”"
+    try:
+        found = _same_part(shown_plane(layer, viewer.dims), plane)
+    except NotAnalysableError as reason:
+        raise ValueError(f"{cannot}: {reason}") from None
+    if found.shape != plane.shape:
+        sizes = [f"{height} x {width} px" for height, width in (found.shape, plane.shape)]
+        raise ValueError(f"{cannot}: it has {sizes[0]}, the picture {sizes[1]}.")
+    return found
 
 
 def settings_of_map(layer: Image) -> MapSettings | None:

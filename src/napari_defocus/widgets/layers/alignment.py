@@ -7,7 +7,7 @@ import numpy as np
 from napari.layers import Layer
 from numpy.typing import NDArray
 
-from napari_defocus.widgets.layers.image_layers import Plane, corner, sizes_at
+from napari_defocus.widgets.layers.image_layers import Plane, corner, picture_axes, sizes_at
 
 
 def same_part(
@@ -60,7 +60,7 @@ def _corners(
     layer: Layer, index: tuple[int | slice, ...], shape: tuple[int, int]
 ) -> NDArray[np.floating]:
     """Return the world coordinates of a plane's corner pixels along its own axes: (4, 2)."""
-    shown = [axis for axis, at in enumerate(index) if not isinstance(at, int)]
+    shown = picture_axes(index)
     points = np.tile(np.array(corner(index), float), (4, 1))
     points[:, shown] += np.array(list(np.ndindex(2, 2))) * np.subtract(shape, 1)
     return np.array([layer.data_to_world(point) for point in points])[:, shown]

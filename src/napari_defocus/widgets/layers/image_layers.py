@@ -5,13 +5,15 @@ No Qt here: everything works on a `napari.components.ViewerModel` too.
 
 import weakref
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from napari.components import Dims, LayerList
 from napari.layers import Image, Labels, Layer
 from napari.utils.transforms import CompositeAffine
 from numpy.typing import ArrayLike, NDArray
+
+T = TypeVar("T")
 
 MAX_PIXELS = 64_000_000
 """Larger planes are refused by all that needs them as a whole: they would fill the memory."""
@@ -214,8 +216,7 @@ def shown_plane(layer: Image, dims: Dims) -> Plane:
 
 def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
     """Return the plane of an image layer that an index picks."""
-    # Plugins are lent a proxy; the layer itself is what lives and dies.
-    layer = getattr(layer, "__wrapped__", layer)
+    layer = unwrapped(layer)
     return Plane(
         layer=weakref.ref(layer),
         name=layer.name,
@@ -224,6 +225,11 @@ def plane_at(layer: Image, index: tuple[int | slice, ...]) -> Plane:
         placement=placement(layer, index),
         contrast_limits=_pair(layer.contrast_limits),
     )
+
+
+def unwrapped(lent: T) -> T:
+    """Return the viewer or layer behind the proxy that plugins are lent: that lives and dies."""
+    return getattr(lent, "__wrapped__", lent)
 
 
 def finest(layer: Image | Labels) -> Any:
@@ -239,6 +245,11 @@ def _pair(limits: Any) -> tuple[float, float]:
 def corner(index: tuple[int | slice, ...]) -> tuple[int, ...]:
     """Return the first pixel that an index picks."""
     return tuple(at if isinstance(at, int) else at.start or 0 for at in index)
+
+
+def picture_axes(index: tuple[int | slice, ...]) -> list[int]:
+    """Return which axes an index keeps: rows and columns."""
+    return [axis for axis, at in enumerate(index) if not isinstance(at, int)]
 
 
 def sizes_at(index: tuple[int | slice, ...], shape: tuple[int, ...]) -> tuple[int, ...]:

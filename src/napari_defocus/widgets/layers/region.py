@@ -17,9 +17,11 @@ from napari_defocus.widgets.layers.image_layers import (
     Plane,
     check_pixels,
     finest,
+    picture_axes,
     shown_index,
     shown_position,
     sizes_at,
+    unwrapped,
 )
 
 LEAST_SIDE = 3
@@ -88,7 +90,7 @@ def region_of(layer: Image, viewer: ViewerModel, choice: Choice) -> Region:
     >>> region.rows, region.columns
     (slice(10, 30, None), slice(20, 41, None))
     """
-    layer = getattr(layer, "__wrapped__", layer)
+    layer = unwrapped(layer)
     shape = finest(layer).shape
     index = shown_index(layer, viewer.dims, shape)
     height, width = sizes_at(index, shape)
@@ -98,7 +100,7 @@ def region_of(layer: Image, viewer: ViewerModel, choice: Choice) -> Region:
     if choice == "visible":
         box = _box(to_plane(_view_corners(viewer)), (height, width))
         return Region(*_checked(*box, "the visible field"), name="visible field")
-    shapes: Shapes = getattr(choice, "__wrapped__", choice)
+    shapes = unwrapped(choice)
     outlines = [to_plane(outline) for outline in _outlines(shapes, viewer.dims)]
     rows, columns = _checked(*_box(np.concatenate(outlines), (height, width)), "the shape")
     check_pixels((rows.stop - rows.start, columns.stop - columns.start))
@@ -127,7 +129,7 @@ def _to_plane(
     The world's are (n, 2), in the order of the axes, and so are the plane's, rows and columns.
     """
     matrix, origin = _linear(layer.world_to_data, layer.ndim)
-    shown = [axis for axis, at in enumerate(index) if not isinstance(at, int)]
+    shown = picture_axes(index)
     displayed = sorted(dims.displayed)
 
     def to_plane(world: Points) -> Points:

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from napari_defocus import __version__
 from napari_defocus.labeling.seeds import BLURRED, IN_FOCUS, checked_seeds
 from napari_defocus.widgets.layers.alignment import lies_on, same_part
-from napari_defocus.widgets.layers.image_layers import Plane, corner, finest, placement, shown_index
+from napari_defocus.widgets.layers.image_layers import (
+    Plane,
+    corner,
+    finest,
+    placement,
+    shown_index,
+    unwrapped,
+)
 from napari_defocus.widgets.layers.result_layers import MASK_COLOR, fixed_colors
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
@@ -59,7 +66,7 @@ class SeedsWatch:
     def watch(self, layer: Labels | None) -> None:
         """Watch a layer, or none, instead of the one before."""
         before = None if self._watched is None else self._watched()
-        layer = getattr(layer, "__wrapped__", layer)
+        layer = unwrapped(layer)
         self._watched = None if layer is None else weakref.ref(layer)
         for each, connect in ((before, False), (layer, True)):
             if each is not None:
@@ -88,7 +95,7 @@ def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
     ValueError
         If it lies elsewhere, has another height and width, or values beside 0, 1 and 2.
     """
-    layer = getattr(layer, "__wrapped__", layer)
+    layer = unwrapped(layer)
     with _layers_named(layer, plane):
         return _seeds_in(layer, shown_index(layer, dims, finest(layer).shape), plane)
 
@@ -152,7 +159,7 @@ def add_seeds_layer(viewer: ViewerModel, image: Image) -> Labels:
     napari.layers.Labels
         The label "in focus" is chosen.
     """
-    image = getattr(image, "__wrapped__", image)
+    image = unwrapped(image)
     made: dict[str, Any] = {"version": __version__, "result": SEEDS, "source": image.name}
     layer = Labels(
         np.zeros(finest(image).shape[: image.ndim], np.uint8),
