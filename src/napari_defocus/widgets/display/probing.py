@@ -11,7 +11,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 from numpy.typing import NDArray
 
-from napari_defocus.widgets.jobs.estimation import JobCache
+from napari_defocus.widgets.jobs.estimation import Analysed, JobCache
 from napari_defocus.widgets.layers.image_layers import corner, picture_axes, unwrapped
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
@@ -24,7 +24,6 @@ from napari_defocus.widgets.layers.result_metadata import (
 
 if TYPE_CHECKING:
     from napari_defocus import PixelExplanation
-    from napari_defocus.widgets.jobs.estimation import Analysed
 
 _NOT_KEPT = (
     "This picture was measured part by part, and what led to its map was not kept. Measure a "
@@ -92,7 +91,7 @@ def probed(
     return Probed(explanation, image, corners)
 
 
-def _known(viewer: ViewerModel, layer: Image | None, cache: JobCache) -> "Analysed":
+def _known(viewer: ViewerModel, layer: Image | None, cache: JobCache) -> Analysed:
     if layer is None:
         raise NothingKnownError("There is no image. Open one and measure it first.")
     known = cache.analysed.latest(unwrapped(layer))

@@ -3,7 +3,7 @@
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from magicgui.widgets import PushButton
 from napari.layers import Image
@@ -15,8 +15,10 @@ from napari_defocus.settings import MaskSettings
 from napari_defocus.widgets.display.region_table import wanted_regions
 from napari_defocus.widgets.display.relief import hide_relief, show_made_relief, wanted_relief
 from napari_defocus.widgets.display.view_state import view_state
+from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
 from napari_defocus.widgets.export.map_files import TIFF_ENDINGS, open_map, save_map, saving_failure
 from napari_defocus.widgets.export.script import script_of
+from napari_defocus.widgets.forms.panel import DefocusPanel
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
@@ -24,9 +26,6 @@ from napari_defocus.widgets.layers.result_metadata import (
     STORE,
     layer_of_result,
 )
-
-if TYPE_CHECKING:
-    from napari_defocus.widgets.forms.panel import DefocusPanel
 
 T = TypeVar("T")
 
@@ -54,7 +53,7 @@ class Tools:
         Those that belong elsewhere in the panel.
     """
 
-    def __init__(self, panel: "DefocusPanel") -> None:
+    def __init__(self, panel: DefocusPanel) -> None:
         self._panel = panel
         self._viewer = panel._viewer
         self._probe: weakref.ref[Any] | None = None
@@ -117,7 +116,7 @@ class Tools:
 
     def open_probe(self) -> None:
         """Open the probe of the chosen image beside the panel."""
-        from napari_defocus.widgets.docks.probe import ProbeWidget
+        from napari_defocus.widgets.docks.probe import ProbeWidget  # loads matplotlib
 
         widget = self._opened(PROBE, ProbeWidget)
         widget.set_image(self._panel.image.value)
@@ -131,14 +130,12 @@ class Tools:
 
     def open_focus_curve(self) -> None:
         """Open the curve of the stack that was measured."""
-        from napari_defocus.widgets.docks.focus_curve import FocusCurveWidget
+        from napari_defocus.widgets.docks.focus_curve import FocusCurveWidget  # and so does this
 
         self._opened(FOCUS_CURVE, FocusCurveWidget)
 
     def open_sharpest_plane(self) -> None:
         """Open the widget that compares the planes of a stack."""
-        from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
-
         self._opened(SHARPEST_PLANE, SharpestPlaneWidget)
 
     def _opened(self, name: str, widget_class: Callable[..., Any]) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from napari_defocus.io.pictures import read_picture
 from napari_defocus.widgets.jobs.cache import fingerprint
 from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.layers import samples
 from napari_defocus.widgets.layers.preferences import PLUGIN
 
 PHOTOGRAPHS = ("dandelion", "brushes")
@@ -142,8 +143,6 @@ def _file_line(path: Path) -> str:
 
 def _of_sample(picture: Picture, name: str) -> PictureSource | None:
     """Return how a sample of ours is made; None if the layer holds something else by now."""
-    from napari_defocus.widgets.layers import samples
-
     if name in PHOTOGRAPHS:
         [(data, *_)] = getattr(samples, name)()
         lines = [f'sample = files("napari_defocus.samples") / "{name}.jpg"']

@@ -12,6 +12,7 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.writing import NeedsForce, check_results
 from napari_defocus.widgets.layers.image_layers import (
     NotAnalysableError,
     Plane,
@@ -72,8 +73,6 @@ class Calibration:
         self._check_file()
 
     def _check_file(self) -> None:
-        from napari_defocus.core.writing import NeedsForce, check_results
-
         if self.file.suffix.lower() != ".npz":
             raise ValueError("Choose a file to save the lens in; its name must end in .npz.")
         try:
