@@ -119,7 +119,7 @@ def test_results_are_lazy_lie_on_the_picture_and_are_those_of_the_whole(
     assert stored.units == {"y": "micrometer", "x": "micrometer"}
     assert stored.scale == {"y": 0.5, "x": 0.25}
     assert stored.attributes["settings"]["noise_variance"] == 1e-5
-    assert f"LayerCache in {tmp_path}" in found.summary
+    assert f"Kept in {tmp_path}" in found.summary
 
 
 @pytest.fixture
@@ -396,7 +396,7 @@ def test_form_asks_where_to_keep_only_what_is_large(
     assert viewer.layers["slide not trusted"].multiscale
     widget.keep_in.value = tmp_path
     finish(widget)
-    assert f"LayerCache in {tmp_path}" in widget.status.value
+    assert f"Kept in {tmp_path}" in widget.status.value
     assert len(stores_in(tmp_path)) == 3
     assert [layer.name for layer in viewer.layers][2:] == [
         "slide blur (px)",
