@@ -158,8 +158,7 @@ def test_large_pictures_are_worked_on_in_another_process_with_the_same_result(vi
     monkeypatch.setattr(estimation, "LARGE", picture[..., 0].size - 1)
     there = analysis(viewer, layer, threshold=2.0).run(KeptWork())
     assert elsewhere == {
-        *("compile_kernels", "estimate_candidates"),
-        *("labeled_blur_map", "confidence_of_problem", "labeled_mask"),
+        *("measure_candidates", "labeled_blur_map", "confidence_of_problem", "labeled_mask"),
     }
     for (data, keywords, kind), (same_data, same_keywords, same_kind) in zip(
         here, there, strict=True
