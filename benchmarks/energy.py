@@ -35,7 +35,7 @@ from napari_defocus.labeling.graph_cuts import (
     solve_exactly,
 )
 from napari_defocus.labeling.pixel_refinement import Blocks, label_pixels, pixel_weights
-from napari_defocus.labeling.problem import Scene
+from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.settings import MapSettings
 
 SMOOTHNESS, COLOR_SIGMA = MapSettings.smoothness, MapSettings.color_sigma
@@ -83,7 +83,7 @@ class Problem:
 
     @classmethod
     def of(cls, picture: np.ndarray) -> "Problem":
-        scene = Scene.of(estimate_candidates(picture), picture)
+        scene = LabelingProblem.of(estimate_candidates(picture), picture)
         return cls(scene.own, scene.picture, scene.blocks, scene.cost(CURVE_WEIGHT))
 
     def of_windows(self) -> tuple[np.ndarray, np.ndarray]:

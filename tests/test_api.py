@@ -102,9 +102,9 @@ PICTURE = np.random.default_rng(0).random((48, 48))
     [
         ("return_confidence", lambda given: estimate_blur_map(PICTURE, return_confidence=given)),
         (
-            "return_carried_in",
+            "return_extrapolated",
             lambda given: label_blur_map(
-                estimate_candidates(PICTURE), PICTURE, return_carried_in=given
+                estimate_candidates(PICTURE), PICTURE, return_extrapolated=given
             ),
         ),
         ("force", lambda given: Settings().save("never.json", force=given)),

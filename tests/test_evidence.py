@@ -51,15 +51,15 @@ def test_slopes_and_the_papers_mode_are_left_alone(ramp_picture):
         assert np.mean(own.curve != candidates.curve) < 0.02
 
 
-def test_what_has_no_texture_is_carried_in_and_told(grass, defocused):
+def test_what_has_no_texture_is_extrapolated_and_told(grass, defocused):
     sharp = np.concatenate([grass, np.full((160, 160), grass.mean())], axis=1)
     picture = defocused(sharp, 3, 1e-5)
     candidates = estimate_candidates(picture)
-    blur_map, carried_in = label_blur_map(candidates, picture, return_carried_in=True)
+    blur_map, extrapolated = label_blur_map(candidates, picture, return_extrapolated=True)
     assert blur_map.dtype == np.float32
-    assert carried_in.dtype == bool
-    assert carried_in[:, 200:].mean() > 0.95
-    assert carried_in[:, :140].mean() < 0.05
+    assert extrapolated.dtype == bool
+    assert extrapolated[:, 200:].mean() > 0.95
+    assert extrapolated[:, :140].mean() < 0.05
     assert np.abs(blur_map[:, 200:] - 3).mean() < 0.5
     np.testing.assert_array_equal(blur_map, label_blur_map(candidates, picture))
 
@@ -68,7 +68,7 @@ def test_constant_picture_has_no_evidence_anywhere():
     picture = np.full((60, 70), 0.5)
     candidates = estimate_candidates(picture)
     assert evidence_share(candidates).max() == 0
-    assert label_blur_map(candidates, picture, return_carried_in=True)[1].all()
+    assert label_blur_map(candidates, picture, return_extrapolated=True)[1].all()
 
 
 def test_evidence_does_not_depend_on_where_the_curve_lies(ramp_picture):

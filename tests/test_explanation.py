@@ -57,7 +57,7 @@ def test_curve_candidates_and_map_are_those_of_the_pixel(candidates, maps):
     assert told.best == told.radii[0] == pytest.approx(RADIUS, abs=0.3)
     assert np.isfinite(told.radii).all()
     assert (told.blur, told.confidence) == tuple(float(m[61, 58]) for m in maps.values())
-    assert not told.carried_in
+    assert not told.extrapolated
 
 
 def test_what_is_not_given_is_not_told(candidates):
@@ -126,11 +126,11 @@ def test_pixel_beside_sharper_things_is_asked_farther_away_from_them(halves, of_
 def test_place_without_texture_is_said_to_be_carried_in():
     candidates = estimate_candidates(np.full((80, 80), 0.5), noise_variance=1e-5)
     told = explain_pixel(candidates, 40, 40, blur_map=np.full((80, 80), 3.0))
-    assert told.carried_in
+    assert told.extrapolated
     assert "No texture" in str(told)
-    assert "carried in" in str(told)
+    assert "extrapolated" in str(told)
     assert "departs" not in str(told)
-    assert "carried in" not in str(explain_pixel(candidates, 40, 40))
+    assert "extrapolated" not in str(explain_pixel(candidates, 40, 40))
 
 
 def test_map_that_follows_its_neighbours_is_told(candidates):

@@ -10,6 +10,7 @@ from napari_defocus import (
     Disc,
     estimate_blur_map,
     estimate_candidates,
+    explain_pixel,
     label_blur_map,
     labeling_energy,
 )
@@ -360,3 +361,14 @@ def test_all_smoothness_leaves_one_radius():
     picture = np.random.default_rng(0).integers(0, 2**32, (3, 16, 3)).astype(">u4")
     blur_map = estimate_blur_map(picture, smoothness=1e6)
     assert np.ptp(blur_map) < 0.1
+
+
+def test_old_names_of_what_is_extrapolated_work_and_warn(grass):
+    candidates = estimate_candidates(grass[:60, :60])
+    now = label_blur_map(candidates, grass[:60, :60], return_extrapolated=True)[1]
+    with pytest.warns(FutureWarning, match="return_extrapolated"):
+        then = label_blur_map(candidates, grass[:60, :60], return_carried_in=True)[1]
+    np.testing.assert_array_equal(then, now)
+    told = explain_pixel(candidates, 30, 30)
+    with pytest.warns(FutureWarning, match="extrapolated"):
+        assert told.carried_in == told.extrapolated

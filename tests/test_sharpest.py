@@ -180,14 +180,19 @@ def test_colours_and_dtype_are_kept(of_colored):
     [
         ((1, 0, 2, 3), {"axes": "yzxs"}),
         ((3, 1, 2, 0), {"axes": "SYXT"}),
-        ((0, 3, 1, 2), {"channel_axis": 1}),
-        ((0, 1, 2, 3), {"channel_axis": -1}),
+        ((0, 3, 1, 2), {"axes": "zsyx"}),
     ],
 )
 def test_axes_may_come_in_any_order(colored, of_colored, order, arguments):
     turned = sharpest_plane(colored.transpose(order), px_per_plane=1.0, **arguments)
     np.testing.assert_array_equal(turned.position, of_colored.position)
     np.testing.assert_array_equal(turned.composite, of_colored.composite)
+
+
+def test_old_name_of_the_axis_of_colours_works_and_warns(colored, of_colored):
+    with pytest.warns(FutureWarning, match="channel_axis will go"):
+        turned = sharpest_plane(colored.transpose(0, 3, 1, 2), channel_axis=1, px_per_plane=1.0)
+    np.testing.assert_array_equal(turned.position, of_colored.position)
 
 
 def test_channel_of_one_is_kept(colored, of_grey):
@@ -320,7 +325,7 @@ PLATE = np.zeros((2, 4, 30, 40))
         (STACK, {"axes": "tyx", "time": 0}, ValueError, "a single plane"),
         (STACK, {"axes": "cyx"}, ValueError, "channels are no planes through focus"),
         (STACK, {"axes": 3}, TypeError, "axes is 3; it takes a string"),
-        (STACK, {"channel_axis": 0}, ValueError, "stack has a single plane"),
+        (STACK[:3], {"axes": "syx"}, ValueError, "stack has a single plane"),
         (STACK, {"channel_axis": 1.5}, TypeError, "channel_axis is 1.5"),
         (STACK, {"axes": "zyx", "channel_axis": 0}, ValueError, "it takes one"),
         (STACK, {"px_per_plane": 0.0}, ValueError, "px_per_plane is 0.0"),

@@ -458,9 +458,7 @@ def test_opening_imports_nothing_that_the_package_does_not_need():
 
 
 def test_missing_extra_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "napari_defocus.io.lazy_arrays.find_spec", lambda name: name == "dask" or None
-    )
+    monkeypatch.setattr("napari_defocus.core.extras.find_spec", lambda name: name == "dask" or None)
     with pytest.raises(
         ImportError, match=r"zarr, ome_zarr_models: pip install 'napari-defocus\[large\]'"
     ):

@@ -8,22 +8,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from napari_defocus.api.candidates import estimate_candidates
+    from napari_defocus.api.maps import (
+        cautious_blur_map,
+        confidence_map,
+        estimate_blur_map,
+        label_blur_map,
+    )
+    from napari_defocus.api.masks import segment_in_focus
+    from napari_defocus.api.restoration import restore_all_in_focus
     from napari_defocus.batch.batch import measure_batch
     from napari_defocus.core.progress import Cancelled
     from napari_defocus.forward.occlusion import simulate_layered_defocus
     from napari_defocus.forward.simulation import simulate_defocus
     from napari_defocus.io.settings_file import Settings
-    from napari_defocus.labeling.blur_map import estimate_blur_map, label_blur_map, labeling_energy
-    from napari_defocus.labeling.confidence import cautious_blur_map, confidence_map
+    from napari_defocus.labeling.blur_map import labeling_energy
     from napari_defocus.labeling.explanation import (
         PixelExplanation,
         draw_explanation,
         explain_pixel,
     )
     from napari_defocus.labeling.regions import RegionTable, measure_regions
-    from napari_defocus.labeling.segmentation import segment_in_focus
     from napari_defocus.likelihood.blur_spectra import FitReport, fit_report
-    from napari_defocus.likelihood.candidates import BlurCandidates, estimate_candidates
+    from napari_defocus.likelihood.candidates import BlurCandidates
     from napari_defocus.likelihood.noise import (
         ShotNoise,
         estimate_noise_variance,
@@ -44,7 +51,6 @@ if TYPE_CHECKING:
     )
     from napari_defocus.psf.measured import MeasuredPSF
     from napari_defocus.psf.text import psf_from_text
-    from napari_defocus.restoration.all_in_focus import restore_all_in_focus
     from napari_defocus.restoration.refocusing import change_focus
     from napari_defocus.stacks.focus_curve import FocusCurve, focus_curve
     from napari_defocus.stacks.focus_stacking import SharpestPlane, sharpest_plane
@@ -75,27 +81,27 @@ _HOME_OF = {
     "ThinLens": "optics.thin_lens",
     "blur_from_depth": "optics.thin_lens",
     "calibrate_psf": "psf.calibration",
-    "cautious_blur_map": "labeling.confidence",
+    "cautious_blur_map": "api.maps",
     "change_focus": "restoration.refocusing",
     "compare_psf": "likelihood.psf_comparison",
-    "confidence_map": "labeling.confidence",
+    "confidence_map": "api.maps",
     "depth_from_blur": "optics.thin_lens",
     "depth_surface": "optics.mesh",
     "draw_explanation": "labeling.explanation",
-    "estimate_blur_map": "labeling.blur_map",
-    "estimate_candidates": "likelihood.candidates",
+    "estimate_blur_map": "api.maps",
+    "estimate_candidates": "api.candidates",
     "estimate_noise_variance": "likelihood.noise",
     "estimate_shot_noise": "likelihood.noise",
     "explain_pixel": "labeling.explanation",
     "fit_report": "likelihood.blur_spectra",
     "focus_curve": "stacks.focus_curve",
-    "label_blur_map": "labeling.blur_map",
+    "label_blur_map": "api.maps",
     "labeling_energy": "labeling.blur_map",
     "measure_batch": "batch.batch",
     "measure_regions": "labeling.regions",
     "psf_from_text": "psf.text",
-    "restore_all_in_focus": "restoration.all_in_focus",
-    "segment_in_focus": "labeling.segmentation",
+    "restore_all_in_focus": "api.restoration",
+    "segment_in_focus": "api.masks",
     "sharpest_plane": "stacks.focus_stacking",
     "simulate_defocus": "forward.simulation",
     "simulate_layered_defocus": "forward.occlusion",

@@ -24,12 +24,14 @@ from napari_defocus.labeling import data_term as evidence
 from napari_defocus.labeling import graph_cuts as graphcut
 from napari_defocus.labeling import multigrid as coarser_grids
 from napari_defocus.labeling import pixel_refinement as boundaries
-from napari_defocus.labeling.blur_map import label_blur_map
-from napari_defocus.labeling.confidence import confidence_map
-from napari_defocus.labeling.segmentation import segment_in_focus
+from napari_defocus.labeling.blur_map import labeled_blur_map
+from napari_defocus.labeling.confidence import map_confidence
+from napari_defocus.labeling.problem import LabelingProblem
+from napari_defocus.labeling.segmentation import labeled_mask
 from napari_defocus.likelihood import gabor, maxima
 from napari_defocus.likelihood import profile_likelihood as likelihood
-from napari_defocus.likelihood.candidates import estimate_candidates
+from napari_defocus.likelihood.candidates import Estimation
+from napari_defocus.psf.families import Disc
 
 _MODULES = (
     gabor, likelihood, maxima, evidence, coarser_grids, graphcut, boundaries, refinement
@@ -66,9 +68,12 @@ def _measure_something() -> None:
     sharp = np.random.default_rng(0).random((_SIDE, _SIDE, 3), np.float32)
     blurred = 3 * uniform_filter(sharp, (9, 9, 0)) - 1
     picture = np.where(np.arange(_SIDE)[:, None] < _SIDE // 2, sharp, blurred)
-    candidates = estimate_candidates(picture, noise_variance=1e-5, stride=1)
-    confidence_map(candidates, label_blur_map(candidates, picture))
-    segment_in_focus(candidates, picture)
+    how = Estimation(Disc(), stride=1)
+    prepared = how.prepared(picture)
+    candidates = how.candidates(prepared, 1e-5)
+    problem = LabelingProblem.of(candidates, prepared)
+    map_confidence(candidates, labeled_blur_map(problem))
+    labeled_mask(problem)
 
 
 @contextmanager

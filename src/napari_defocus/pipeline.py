@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import napari_defocus
-from napari_defocus.core.progress import Progress, within
+from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.psf.families import radius_per_scale
 from napari_defocus.psf.text import psf_of
-from napari_defocus.settings import CONFIDENT, MapSettings
+from napari_defocus.settings import BLOCK_SIZE, CONFIDENT, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
-    from napari_defocus.core.intensity import Intensities
+    from napari_defocus.core.intensity import Intensities, IntensityRange, Limits
     from napari_defocus.likelihood.candidates import BlurCandidates
     from napari_defocus.likelihood.noise import ShotNoise
     from napari_defocus.psf.families import PSFFamily
+    from napari_defocus.restoration.all_in_focus import Restoration
 
 CANDIDATES_SHARE = 0.7
 """Roughly how much of the time goes into the candidates; for the progress bar only."""
@@ -78,31 +80,31 @@ class Measurement:
 
 
 def find_blur(
-    picture: NDArray[Any],
+    image: NDArray[Any],
     settings: MapSettings,
-    intensity_range: tuple[float, float] | None,
+    intensity_range: IntensityRange | None,
     map_file: Path | None,
     confidence_file: Path | None,
     progress: Progress,
 ) -> Measurement:
     """Return the map that is given as a file, or else measure it."""
     if map_file is not None:
-        return read_map(map_file, confidence_file, settings, picture.shape[:2])
+        return read_map(map_file, confidence_file, settings, image.shape[:2])
     if confidence_file is not None:
         raise ValueError(f"map_confidence is {confidence_file}; it takes the map that it is of too")
-    return measure_map(picture, settings, intensity_range, progress)
+    return measure_map(image, settings, intensity_range, progress)
 
 
 def measure_map(
-    picture: NDArray[Any],
+    image: NDArray[Any],
     settings: MapSettings,
-    intensity_range: tuple[float, float] | None,
-    progress: Progress,
+    intensity_range: IntensityRange | None = None,
+    progress: Progress = silent,
 ) -> Measurement:
     """Estimate the candidates, and the map and its confidence from them."""
     first, second = shares(progress)
-    candidates = measure_candidates(picture, settings, intensity_range, first)
-    return label_map(candidates, picture, settings, intensity_range, second)
+    candidates = measure_candidates(image, settings, intensity_range, first)
+    return label_map(candidates, image, settings, intensity_range, second)
 
 
 def shares(progress: Progress) -> tuple[Progress, Progress]:
@@ -111,12 +113,18 @@ def shares(progress: Progress) -> tuple[Progress, Progress]:
 
 
 def measure_candidates(
-    picture: NDArray[Any],
+    image: Any,
     settings: MapSettings,
-    intensity_range: tuple[float, float] | None,
-    progress: Progress,
+    intensity_range: IntensityRange | None = None,
+    progress: Progress = silent,
+    *,
+    axes: str | None = None,
+    block_size: int = BLOCK_SIZE,
 ) -> BlurCandidates:
-    """Estimate the candidates, and shot noise if that is asked for."""
+    """Estimate the candidates of a picture, a stack or a dask array; find shot noise if asked to.
+
+    Of a stack or a dask array, shot noise is that of its first plane.
+    """
     from napari_defocus.compilation import compile_kernels
 
     psf = settings.family()
@@ -125,12 +133,10 @@ def measure_candidates(
     if settings.shot_noise:
         progress("Measuring the noise", 0.0)
         noise = napari_defocus.estimate_shot_noise(
-            picture,
-            linearize=settings.linearize,
-            intensity_range=intensity_range,
+            _seen_of(image, axes), linearize=settings.linearize, intensity_range=intensity_range
         )
     return napari_defocus.estimate_candidates(
-        picture,
+        image,
         psf=psf,
         noise_variance=noise,
         window=settings.window,
@@ -138,26 +144,40 @@ def measure_candidates(
         mode=settings.mode,
         linearize=settings.linearize,
         intensity_range=intensity_range,
+        axes=axes,
+        block_size=block_size,
         progress=progress,
     )
+
+
+def _seen_of(image: Any, axes: str | None) -> Any:
+    """Return pixels that tell of the noise: of a stack or a dask array those of the first plane."""
+    from napari_defocus.core.axes import first_plane, is_lazy
+
+    if axes is None and not is_lazy(image):
+        return image
+    from napari_defocus.tiled.candidates import sampled
+
+    return sampled(first_plane(image, axes))
 
 
 def label_map(
     candidates: BlurCandidates,
-    picture: NDArray[Any],
+    image: NDArray[Any],
     settings: MapSettings,
-    intensity_range: tuple[float, float] | None,
-    progress: Progress,
+    intensity_range: IntensityRange | None = None,
+    progress: Progress = silent,
 ) -> Measurement:
     """Make the coherent map of candidates, and its confidence."""
     blur_map = napari_defocus.label_blur_map(
         candidates,
-        picture,
+        image,
         smoothness=settings.smoothness,
         color_sigma=settings.color_sigma,
         intensity_range=intensity_range,
-        progress=progress,
+        progress=within(progress, 0.0, 0.9),
     )
+    progress("Measuring the confidence", 0.9)
     return Measurement(
         blur_map=blur_map,
         confidence=napari_defocus.confidence_map(candidates, blur_map),
@@ -166,6 +186,43 @@ def label_map(
         shot_noise=candidates.shot_noise,
         candidates=candidates,
         intensities=candidates.intensities,
+    )
+
+
+def segment(
+    candidates: BlurCandidates,
+    image: NDArray[Any],
+    settings: MaskSettings,
+    intensity_range: IntensityRange | None = None,
+    *,
+    seeds: NDArray[Any] | None = None,
+    progress: Progress = silent,
+) -> NDArray[np.uint8]:
+    """Return what is in focus."""
+    return napari_defocus.segment_in_focus(
+        candidates,
+        image,
+        **asdict(settings),
+        seeds=seeds,
+        intensity_range=intensity_range,
+        progress=progress,
+    )
+
+
+def restore(
+    image: NDArray[Any],
+    blur_map: NDArray[Any],
+    confidence: NDArray[Any] | None,
+    how: Restoration,
+    *,
+    limits: Limits | None = None,
+    progress: Progress = silent,
+) -> NDArray[np.float32]:
+    """Return the picture all in focus; `limits` are intensities that planes of a stack share."""
+    if limits is not None:
+        return how.restored(image, how.prepared(image, limits), blur_map, confidence, progress)
+    return napari_defocus.restore_all_in_focus(
+        image, blur_map, **vars(how), confidence=confidence, progress=progress
     )
 
 

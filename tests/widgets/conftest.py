@@ -157,6 +157,7 @@ class StandIn:
         return SimpleNamespace(
             image_shape=image.shape[:2],
             noise_variance=self.noise_variance,
+            shot_noise=None,
             psf=arguments["psf"],
             intensities=Intensities(0.0, 255.0, "number type"),
         )
@@ -172,7 +173,7 @@ class StandIn:
     def confidence_map(self, candidates, blur_map):
         return np.linspace(0, 1, blur_map.size, dtype=np.float32).reshape(blur_map.shape)
 
-    def cautious_blur_map(self, candidates, blur_map):
+    def cautious_blur_map(self, candidates, blur_map, *, risk):
         return 0.75 * blur_map
 
     def segment_in_focus(self, candidates, image, *, progress, threshold, **arguments):

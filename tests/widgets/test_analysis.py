@@ -13,7 +13,7 @@ from napari_defocus import (
     simulate_defocus,
 )
 from napari_defocus.core.worker_process import run_elsewhere
-from napari_defocus.labeling.problem import with_scene
+from napari_defocus.labeling.problem import with_problem
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs import estimation
 from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
@@ -148,7 +148,7 @@ def test_large_pictures_are_worked_on_in_another_process_with_the_same_result(vi
     elsewhere = set()
 
     def spy(function, *args, **keywords):
-        work = args[0] if function is with_scene else function
+        work = args[0] if function is with_problem else function
         elsewhere.add(work.__name__)
         return run_elsewhere(function, *args, **keywords)
 
@@ -158,8 +158,7 @@ def test_large_pictures_are_worked_on_in_another_process_with_the_same_result(vi
     monkeypatch.setattr(estimation, "LARGE", picture[..., 0].size - 1)
     there = analysis(viewer, layer, threshold=2.0).run(JobCache())
     assert elsewhere == {
-        *("compile_kernels", "estimate_candidates"),
-        *("blur_map_of_scene", "confidence_of_scene", "mask_of_scene"),
+        *("measure_candidates", "labeled_blur_map", "confidence_of_problem", "labeled_mask"),
     }
     for (data, keywords, kind), (same_data, same_keywords, same_kind) in zip(
         here, there, strict=True

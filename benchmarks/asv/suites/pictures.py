@@ -7,7 +7,7 @@ import numpy as np
 from skimage.data import astronaut
 
 from napari_defocus import BlurCandidates, estimate_candidates, label_blur_map, simulate_defocus
-from napari_defocus.labeling.problem import Scene
+from napari_defocus.labeling.problem import LabelingProblem
 
 SIDES = (256, 512, 1024)
 NOISE = 1e-5
@@ -22,8 +22,8 @@ class Ready:
     candidates: BlurCandidates
     blur_map: np.ndarray
 
-    def scene(self) -> Scene:
-        return Scene.of(self.candidates, self.picture)
+    def scene(self) -> LabelingProblem:
+        return LabelingProblem.of(self.candidates, self.picture)
 
 
 @cache

@@ -2,11 +2,11 @@
 Flat is not sharp and not blurred
 =================================
 
-Without texture nothing can be known; the map is carried in from around.
+Without texture nothing can be known; the map is extrapolated from around.
 
 A wall and a sky without any texture are painted into a picture that is blurred by 1 to 6 px. The
 map fills them from what surrounds them, rather from where the colours are the same. It cannot be
-right but by chance. The confidence says so, and ``return_carried_in=True`` says where.
+right but by chance. The confidence says so, and ``return_extrapolated=True`` says where.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ truth = 1 + 5 * column
 seen = simulate_defocus(sharp, truth, noise_variance=1e-5, rng=0)
 
 candidates = estimate_candidates(seen)
-blur_map, carried_in = label_blur_map(candidates, seen, return_carried_in=True)
+blur_map, extrapolated = label_blur_map(candidates, seen, return_extrapolated=True)
 confidence = confidence_map(candidates, blur_map)
 
 figure, grid = plt.subplots(2, 3, figsize=(8.4, 5.4))
@@ -35,8 +35,8 @@ grid[0, 1].set_title("true radius")
 shown = grid[0, 2].imshow(blur_map, vmin=0, vmax=8)
 grid[0, 2].set_title("map")
 figure.colorbar(shown, ax=grid[0, 2], label="px", shrink=0.8)
-grid[1, 0].imshow(carried_in, cmap="gray_r")
-grid[1, 0].set_title("carried in (black)")
+grid[1, 0].imshow(extrapolated, cmap="gray_r")
+grid[1, 0].set_title("extrapolated (black)")
 sure = grid[1, 1].imshow(confidence, cmap="gray", vmin=0, vmax=1)
 grid[1, 1].set_title("confidence")
 figure.colorbar(sure, ax=grid[1, 1], shrink=0.8)

@@ -46,9 +46,9 @@ from napari_defocus.core.checks import (
     check_flag,
     check_threshold,
 )
+from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.progress import Cancelled, Progress, duration, silent
 from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
-from napari_defocus.io.lazy_arrays import need_large_extra
 from napari_defocus.io.open import Source
 from napari_defocus.io.picture_files import PictureFiles, look_for_pictures
 from napari_defocus.io.settings_file import Settings

@@ -14,7 +14,7 @@ from itertools import chain
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
-from napari_defocus.io.lazy_arrays import need_large_extra
+from napari_defocus.core.extras import need_large_extra
 
 if TYPE_CHECKING:
     from distributed import Client

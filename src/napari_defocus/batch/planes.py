@@ -32,7 +32,8 @@ from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.io.open import Source, open_source
 from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE
 from napari_defocus.io.settings_file import Settings
-from napari_defocus.pipeline import Measurement, measure_map, used
+from napari_defocus.pipeline import Measurement, measure_map, restore, segment, used
+from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import BLOCK_SIZE
 
 if TYPE_CHECKING:
@@ -218,12 +219,8 @@ def _made_of(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> dict
     assert found.confidence is not None
     made = {"map": found.trusted(plan.min_confidence), "confidence": found.confidence}
     if "mask" in plan.kinds:
-        made["mask"] = napari_defocus.segment_in_focus(
-            found.candidates,
-            picture,
-            **asdict(plan.settings.mask),
-            intensity_range=plan.intensity_range,
-        )
+        mask_settings, limits = plan.settings.mask, plan.intensity_range
+        made["mask"] = segment(found.candidates, picture, mask_settings, limits)
     if "in_focus" in plan.kinds:
         made["in_focus"] = with_opacity(_restored(found, picture, task), picture)
     return made
@@ -232,32 +229,17 @@ def _made_of(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> dict
 def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDArray[Any]:
     """Take away what is safe to take away, as the command for one picture does."""
     plan, settings = task.plan, task.plan.settings.restoration
-    common: dict[str, Any] = {
-        "psf": found.psf,
-        "noise_variance": settings.noise_variance,
-        "confidence": found.confidence,
-        "tv_weight": settings.tv_weight,
-        "linearize": plan.settings.map.linearize,
-    }
-    safe = found.cautious(settings.risk)
+    noise, limits = settings.noise_variance, None
     if task.stack is not None:
-        return _restored_in_stack(task, picture, safe, common)
-    if settings.noise_variance is None:
-        common["noise_variance"] = found.noise_variance
-    return napari_defocus.restore_all_in_focus(
-        picture, safe, intensity_range=plan.intensity_range, **common
+        # In the range of all planes, so that they do not flicker.
+        limits = _stack_limits(task)
+    elif noise is None:
+        noise = found.noise_variance
+    how = Restoration(
+        found.psf, noise, settings.tv_weight, plan.settings.map.linearize, plan.intensity_range
     )
-
-
-def _restored_in_stack(
-    task: PlaneTask, picture: NDArray[Any], safe: NDArray[Any], common: Mapping[str, Any]
-) -> NDArray[Any]:
-    """Restore a plane in the range of all planes, so that they do not flicker."""
-    from napari_defocus.core.image import prepare_image, with_unknown
-    from napari_defocus.restoration.all_in_focus import in_shape_of, restored_colors
-
-    prepared = prepare_image(picture, _stack_limits(task), common["linearize"])
-    return with_unknown(in_shape_of(picture, restored_colors(prepared, safe, **common)), picture)
+    safe = found.cautious(settings.risk)
+    return restore(picture, safe, found.confidence, how, limits=limits)
 
 
 def _stack_limits(task: PlaneTask) -> Limits:

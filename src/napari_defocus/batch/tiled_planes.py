@@ -16,7 +16,9 @@ import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
 from napari_defocus.batch.table import DONE, PixelCounts, Row, count_pixels
+from napari_defocus.core.progress import silent
 from napari_defocus.io.ome_zarr_writer import TILE
+from napari_defocus.pipeline import measure_candidates
 
 Region = tuple[slice, slice]
 
@@ -116,23 +118,11 @@ class PlaneInParts:
 
         plan, plane = self.task.plan, self._plane
         settings = plan.settings.map
-        given: dict[str, Any] = {
-            "intensity_range": plan.intensity_range,
-            "linearize": settings.linearize,
-            "block_size": plan.block_size,
-        }
-        lazy: Any = napari_defocus.estimate_candidates(
-            plane,
-            psf=settings.family(),
-            noise_variance=settings.noise_variance,
-            window=settings.window,
-            stride=settings.stride,
-            mode=settings.mode,
-            **given,
-        )
+        limits, block_size = plan.intensity_range, plan.block_size
+        lazy: Any = measure_candidates(plane, settings, limits, silent, block_size=block_size)
         restoration = plan.settings.restoration if "in_focus" in plan.kinds else None
         asked = Wanted(
-            map_weights=(settings.smoothness, settings.color_sigma),
+            map=settings,
             confidence=True,
             risk=None if restoration is None else restoration.risk,
             mask=plan.settings.mask if "mask" in plan.kinds else None,
@@ -147,7 +137,9 @@ class PlaneInParts:
                 noise_variance=settings.noise_variance if noise is None else noise,
                 confidence=found["confidence"],
                 tv_weight=restoration.tv_weight,
-                **given,
+                linearize=settings.linearize,
+                intensity_range=limits,
+                block_size=block_size,
             )
         return found, lazy.noise(())
 

@@ -101,7 +101,8 @@ def _facts(told: PixelExplanation) -> dict[str, Any]:
         "confidence": told.confidence,
         "candidates_px": told.radii.tolist(),
         "candidates_log_likelihood": told.heights.tolist(),
-        "carried_in": told.carried_in,
+        "extrapolated": told.extrapolated,
+        "carried_in": told.extrapolated,  # its name before 0.2
         "window": list(told.window),
         "own_window": None if told.own_window is None else list(told.own_window),
         "scales_px": told.scales.tolist(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -152,7 +153,10 @@ def _unclear(left: dict[str, int], said: Callable[[str], str]) -> str:
 
 
 def axis_roles(
-    shape: tuple[int, ...], axes: str | None, channel_axis: int | None, name: str = "image"
+    shape: tuple[int, ...],
+    axes: str | None,
+    channel_axis: int | None = None,
+    name: str = "image",
 ) -> str:
     """Return a letter for each axis of an array: y, x, s for colours, others for planes.
 
@@ -235,7 +239,26 @@ def _with_channels(channel_axis: int, shape: tuple[int, ...], name: str) -> str:
     return "".join(roles)
 
 
-def arranged_image(image: Any, axes: str | None, channel_axis: int | None) -> tuple[Any, str]:
+def said_axes(
+    array: Any, axes: str | None, channel_axis: int | None, name: str = "image"
+) -> str | None:
+    """Return `axes`, or in its letters what the old argument `channel_axis` says, with a warning.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `axis_roles`.
+    """
+    if channel_axis is None:
+        return axes
+    roles = axis_roles(np.shape(array), axes, channel_axis, name)
+    warnings.warn(
+        f"channel_axis will go; axes={roles!r} says the same", FutureWarning, stacklevel=3
+    )
+    return roles
+
+
+def arranged_image(image: Any, axes: str | None) -> tuple[Any, str]:
     """Find out which axis of an image is which, and whether it is one picture in memory.
 
     Returns
@@ -250,9 +273,9 @@ def arranged_image(image: Any, axes: str | None, channel_axis: int | None) -> tu
     TypeError, ValueError
         As `axis_roles`.
     """
-    if axes is None and channel_axis is None and not is_lazy(image):
+    if axes is None and not is_lazy(image):
         if len(np.shape(image) if hasattr(image, "shape") else ()) > 2:
-            axis_roles(image.shape, None, None)
+            axis_roles(image.shape, None)
         return image, ""
     array = image if is_lazy(image) else given_image("image", image)
     if any(np.isnan(length) for length in array.shape):
@@ -260,7 +283,7 @@ def arranged_image(image: Any, axes: str | None, channel_axis: int | None) -> tu
             f"image has shape {array.shape}; it takes a dask array of known size, see its "
             "compute_chunk_sizes"
         )
-    roles = axis_roles(tuple(int(n) for n in array.shape), axes, channel_axis)
+    roles = axis_roles(tuple(int(n) for n in array.shape), axes)
     if is_lazy(array) or set(roles) - set("yxs"):
         return array, roles
     return planes_first(array, roles), ""
@@ -280,6 +303,18 @@ def planes_first(array: Any, roles: str) -> Any:
     order = planes + [roles.index(role) for role in "yxs" if role in roles]
     arranged = array.transpose(order)
     return arranged[..., 0] if "s" in roles and arranged.shape[-1] == 1 else arranged
+
+
+def first_plane(array: Any, axes: str | None) -> Any:
+    """Return the first plane of a stack, or the picture itself: (H, W) or (H, W, C).
+
+    Examples
+    --------
+    >>> first_plane(np.zeros((100, 200, 9)), "yxt").shape
+    (100, 200)
+    """
+    roles = axis_roles(tuple(array.shape), axes)
+    return planes_first(array, roles)[(0,) * len(set(roles) - set("yxs"))]
 
 
 def is_lazy(array: Any) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -14,8 +13,6 @@ if TYPE_CHECKING:
 
 LEAST_SIDE = 1024
 """px that a block of a lazy array has at least, if its file has smaller tiles or strips."""
-
-_PACKAGES_OF_EXTRA = ("dask", "filelock", "zarr", "ome_zarr_models")
 
 
 class RegionReader(Protocol):
@@ -125,13 +122,3 @@ def block_side(tile: int, size: int) -> int:
     (1024, 4096, 100)
     """
     return min(tile * -(-LEAST_SIDE // tile), size)
-
-
-def need_large_extra() -> None:
-    """Raise ImportError, with what to install, if a package of the extra "large" is missing."""
-    missing = [name for name in _PACKAGES_OF_EXTRA if find_spec(name) is None]
-    if missing:
-        raise ImportError(
-            f"stacks and large pictures need {', '.join(missing)}: "
-            "pip install 'napari-defocus[large]'"
-        )

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.io.lazy_arrays import block_side, lazy_array, need_large_extra
+from napari_defocus.core.extras import need_large_extra
+from napari_defocus.io.lazy_arrays import block_side, lazy_array
 from napari_defocus.io.pictures import UnreadablePicture, reading_failure
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.writing import NeedsForce, UnwritableResult
-from napari_defocus.io.lazy_arrays import need_large_extra
 from napari_defocus.io.multiscale import halve_into, level_shapes
 from napari_defocus.io.ome_zarr import OUR_KEY, is_zarr
 from napari_defocus.io.ome_zarr_metadata import (

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.io.lazy_arrays import lazy_array, need_large_extra
+from napari_defocus.core.extras import need_large_extra
+from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
 from napari_defocus.io.picture_files import find_sources, naturally
 from napari_defocus.io.pictures import (

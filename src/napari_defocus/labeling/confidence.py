@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 
-from napari_defocus.core.checks import check_risk
 from napari_defocus.core.image import given_array
+from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.data_term import averaged_curve, informed_share
-from napari_defocus.likelihood.candidates import BlurCandidates, as_lazy
+from napari_defocus.labeling.problem import LabelingProblem
+from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.settings import RestorationSettings
 
 Float32 = NDArray[np.float32]
@@ -31,109 +32,21 @@ _CAUTION_SIGMA = 8.0
 """px, over which what is taken off a map is smoothed."""
 
 
-def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
-    """Return the probability that each radius of a blur map is within 0.5 px of the true one.
-
-    It comes from the whole curve log p(r): what share of the likelihood, limited in depth and
-    averaged over the neighbouring windows that the map was made coherent with, lies within
-    0.5 px of the map's value. A logistic function of it and of the largest difference that the
-    map has within 31 px (beside a jump, windows see both sides) was fitted once on simulated
-    ramps and layered scenes, so that of the pixels with a confidence of 0.8, 80 % are right.
-    Where the curve is flat, because there is no texture, the confidence is the share of all
-    radii that lie within 0.5 px of the map's value: 0.14 at most for radii up to 8 px.
-
-    Parameters
-    ----------
-    candidates : BlurCandidates or LazyCandidates
-        Of the mode "curve"; the likelihood of the mode "paper" is too sure of itself.
-    blur_map : (H, W) array_like
-        From `label_blur_map` with these candidates, in px.
-
-    Returns
-    -------
-    (H, W) float32 ndarray
-        In [0, 1]. Of a stack (..., H, W), and a dask array if one came in.
-
-    Raises
-    ------
-    TypeError
-        If `blur_map` holds no real numbers.
-    ValueError
-        If it has another shape than the picture of `candidates`, or values that are not finite.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skimage.data import camera
-    >>> from napari_defocus import *
-    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
-    >>> candidates = estimate_candidates(picture)
-    >>> confidence_map(candidates, label_blur_map(candidates, picture)).shape
-    (100, 100)
-    """
-    lazy = as_lazy(candidates)
-    if lazy is not None:
-        return lazy.judged(blur_map)["confidence"]
+def map_confidence(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
+    """Return the probability that each value of a map is right to 0.5 px, see `confidence_map`."""
     radius = checked_map(blur_map, candidates.image_shape)
     places = _at_windows(candidates, radius)
     probability = window_confidence(candidates, averaged_curve(candidates), *places)
     return np.clip(_between_windows(probability, candidates), 0, 1)
 
 
-def cautious_blur_map(
-    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = RestorationSettings.risk
-) -> Float32:
-    """Return how much of the blur of a map is safe to take away.
-
-    Too large a radius makes rings and halos when blur is taken away, too small a one leaves some
-    of it. So the smallest radius is taken that the true one is below with a probability of at
-    most `risk`: the map's own if what the curve log p(r) says of radii more than 0.5 px below
-    it, beside the map's confidence, is not more than that; else a quantile of the curve. Edges
-    without texture, which often fit two radii, are treated as the sharper of them. What is taken
-    off is smoothed over 8 px.
-
-    Parameters
-    ----------
-    candidates : BlurCandidates or LazyCandidates
-        Of the mode "curve".
-    blur_map : (H, W) array_like
-        From `label_blur_map` with these candidates, in px.
-    risk : float, optional
-        From 0, nothing is safe, to 1, the map as it is.
-
-    Returns
-    -------
-    (H, W) float32 ndarray
-        Scale in px, nowhere above the map: for `restore_all_in_focus`, no measurement.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `confidence_map`, and if `risk` is not in [0, 1].
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skimage.data import camera
-    >>> from napari_defocus import *
-    >>> picture = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
-    >>> candidates = estimate_candidates(picture)
-    >>> blur_map = label_blur_map(candidates, picture)
-    >>> bool((cautious_blur_map(candidates, blur_map) <= blur_map).all())
-    True
-    """
-    check_risk(risk)
-    lazy = as_lazy(candidates)
-    if lazy is not None:
-        return lazy.judged(blur_map, risk)["cautious"]
-    return confidence_and_caution(candidates, blur_map, risk=risk)[1]
-
-
 def confidence_and_caution(
-    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = RestorationSettings.risk
+    candidates: BlurCandidates,
+    blur_map: ArrayLike,
+    *,
+    risk: float = RestorationSettings.risk,
 ) -> tuple[Float32, Float32]:
     """Return `confidence_map` and `cautious_blur_map` for the time of one: see there."""
-    check_risk(risk)
     radius = checked_map(blur_map, candidates.image_shape)
     at_windows, jump = _at_windows(candidates, radius)
     curve = averaged_curve(candidates)
@@ -144,6 +57,14 @@ def confidence_and_caution(
         np.clip(_between_windows(sure, candidates), 0, 1),
         np.maximum(radius - _between_windows(excess, candidates), 0),
     )
+
+
+def confidence_of_problem(
+    problem: LabelingProblem, *, blur_map: Float32, progress: Progress = silent
+) -> tuple[Float32, Float32]:
+    """Return `confidence_and_caution` of the map of a labeling problem."""
+    progress("Measuring the confidence", 0.0)
+    return confidence_and_caution(problem.candidates, blur_map)
 
 
 def _safe_at_windows(

@@ -10,7 +10,7 @@ and the place takes the moved window's evidence.
 
 No window is exactly what the model says, so that the depth of its curve counts up to a limit.
 Where the curves of a neighbourhood, averaged, are flat, there is no texture, and what each of
-them prefers is chance: it does not count, and labels are carried in from around.
+them prefers is chance: it does not count, and labels are extrapolated from around.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from napari_defocus.likelihood.candidates import BlurCandidates
 
 Float32 = NDArray[np.float32]
 
-CARRIED_IN = 0.5
-"""Below this share of evidence, a map is counted as carried in from around."""
+EXTRAPOLATED = 0.5
+"""Below this share of evidence, a map is counted as extrapolated from around."""
 
 _DETAIL = 1.0
 """Standard deviation, in px, of the Gaussian that leaves no fine details."""

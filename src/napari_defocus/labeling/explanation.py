@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -13,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.checks import check_flag, check_real
 from napari_defocus.core.image import PreparedImage, given_array, given_image, prepare_image
 from napari_defocus.labeling.confidence import TOLERANCE
-from napari_defocus.labeling.data_term import CARRIED_IN, asked_windows, evidence_share
+from napari_defocus.labeling.data_term import EXTRAPOLATED, asked_windows, evidence_share
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
-from napari_defocus.likelihood.candidates import BlurCandidates, check_not_lazy, check_place
+from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates, check_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +58,7 @@ class PixelExplanation:
     window : (float, float, float, float)
         Top, left, bottom and right edge of the window, in px, see `BlurCandidates.window_at`.
     evidence : float
-        How much texture there is around, from 0 to 1; below 0.5 a map is carried in.
+        How much texture there is around, from 0 to 1; below 0.5 a map is extrapolated.
     scale_name : str
         What the scale measures, with its unit.
     blur : float or None
@@ -95,8 +96,14 @@ class PixelExplanation:
 
     @property
     def carried_in(self) -> bool:
+        """The old name of `extrapolated`."""
+        warnings.warn("carried_in is called extrapolated now", FutureWarning, stacklevel=2)
+        return self.extrapolated
+
+    @property
+    def extrapolated(self) -> bool:
         """Whether there is too little texture to know, and a map has its value from around."""
-        return self.evidence < CARRIED_IN or not len(self.radii)
+        return self.evidence < EXTRAPOLATED or not len(self.radii)
 
     def __str__(self) -> str:
         return "\n".join([self.summary(), *self.remarks()])
@@ -119,8 +126,8 @@ class PixelExplanation:
         return [*self._on_evidence(), *self._on_map()]
 
     def _on_evidence(self) -> Iterator[str]:
-        if self.carried_in:
-            carried = "" if self.blur is None else " The map was carried in from around."
+        if self.extrapolated:
+            carried = "" if self.blur is None else " The map was extrapolated from around."
             yield f"No texture: the curve here and around is flat and tells no blur.{carried}"
             return
         if self.own_window is not None:
@@ -143,7 +150,7 @@ class PixelExplanation:
         if self.blur is None:
             return
         best = self.best
-        if best is not None and not self.carried_in and abs(self.blur - best) > TOLERANCE:
+        if best is not None and not self.extrapolated and abs(self.blur - best) > TOLERANCE:
             yield f"The map departs from the likeliest, {_px(best)} px, because of its neighbours."
         if self.blur > self.scales[-1] - LABEL_STEP:
             yield f"{_px(self.scales[-1])} px is the most that was looked for: it may be more."
@@ -203,7 +210,7 @@ def explain_pixel(
     >>> explanation.log_likelihood.shape
     (81,)
     """
-    check_not_lazy(candidates)
+    check_candidates(candidates)
     check_place(row, column, candidates.image_shape)
     values = {"blur_map": blur_map, "confidence": confidence}
     known = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -16,7 +16,7 @@ from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.data_term import limited_depth, on_own_side
 from napari_defocus.labeling.pixel_refinement import Blocks
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
-from napari_defocus.likelihood.candidates import BlurCandidates, check_not_lazy
+from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
 
 Float32 = NDArray[np.float32]
 Result = TypeVar("Result")
@@ -32,7 +32,7 @@ _REMEMBERED = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class LabelingProblem:
     """A picture and its candidates, ready to be labelled with any smoothness and threshold.
 
     Attributes
@@ -55,10 +55,13 @@ class Scene:
     def of(
         cls,
         candidates: BlurCandidates,
-        image: ArrayLike,
+        image: ArrayLike | PreparedImage,
         intensity_range: tuple[float, float] | None = None,
-    ) -> Scene:
+    ) -> LabelingProblem:
         """Prepare the picture that candidates came from, with their intensities.
+
+        One that was prepared before must not have been decoded into linear light: colours are
+        compared as they are seen.
 
         Raises
         ------
@@ -67,7 +70,7 @@ class Scene:
         ValueError
             If it is no picture, or another one than that of `candidates`.
         """
-        check_not_lazy(candidates)
+        check_candidates(candidates)
         picture = _picture_of(candidates, image, intensity_range)
         own = on_own_side(candidates, picture)
         centers = candidates.row_centers, candidates.column_centers
@@ -96,12 +99,18 @@ class Scene:
 
 
 def _picture_of(
-    candidates: BlurCandidates, image: ArrayLike, intensity_range: tuple[float, float] | None
+    candidates: BlurCandidates,
+    image: ArrayLike | PreparedImage,
+    intensity_range: tuple[float, float] | None,
 ) -> PreparedImage:
     """Prepare the picture that candidates came from, or say that it is another one."""
-    picture = prepare_image(
-        image, candidates.intensities if intensity_range is None else intensity_range
-    )
+    if isinstance(image, PreparedImage):
+        # Of candidates, the contrast is known to be above the noise.
+        picture = replace(image, intensities=candidates.intensities or image.intensities)
+    else:
+        picture = prepare_image(
+            image, candidates.intensities if intensity_range is None else intensity_range
+        )
     if picture.shape != candidates.image_shape:
         raise ValueError(
             f"image is {picture.shape[0]} x {picture.shape[1]} px; these candidates are of a "
@@ -171,14 +180,14 @@ class CoarseLabels:
         data[held] += (price * away).astype(np.float32)
 
 
-class UnknownSceneError(LookupError):
-    """No scene of that name is known here."""
+class UnknownProblemError(LookupError):
+    """No problem of that name is known here."""
 
 
-_scenes: OrderedDict[str, Scene] = OrderedDict()
+_problems: OrderedDict[str, LabelingProblem] = OrderedDict()
 
 
-def with_scene(
+def with_problem(
     function: Callable[..., Result],
     name: str,
     ingredients: Ingredients | None,
@@ -186,33 +195,33 @@ def with_scene(
     progress: Progress = silent,
     **keywords: object,
 ) -> Result:
-    """Call a function with a scene that this process remembers.
+    """Call a function with a problem that this process remembers.
 
     For a process that is told the candidates of a picture once, and asked to label them often.
 
     Parameters
     ----------
     function : callable
-        Called as ``function(scene, progress=progress, **keywords)``.
+        Called as ``function(problem, progress=progress, **keywords)``.
     name : str
-        Of the scene; the last two are remembered.
+        Of the problem; the last two are remembered.
     ingredients : (BlurCandidates, image, intensity_range) or None
-        What `Scene.of` takes; None if the scene should be known.
+        What `LabelingProblem.of` takes; None if the problem should be known.
     progress : callable, optional
     **keywords
         Of the function.
 
     Raises
     ------
-    UnknownSceneError
+    UnknownProblemError
         If it is not known and no ingredients are given.
     """
-    scene = _scenes.pop(name, None)
-    if scene is None:
+    problem = _problems.pop(name, None)
+    if problem is None:
         if ingredients is None:
-            raise UnknownSceneError(name)
-        scene = Scene.of(*ingredients)
-    _scenes[name] = scene
-    while len(_scenes) > _REMEMBERED:
-        _scenes.popitem(last=False)
-    return function(scene, progress=progress, **keywords)
+            raise UnknownProblemError(name)
+        problem = LabelingProblem.of(*ingredients)
+    _problems[name] = problem
+    while len(_problems) > _REMEMBERED:
+        _problems.popitem(last=False)
+    return function(problem, progress=progress, **keywords)

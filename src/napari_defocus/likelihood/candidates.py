@@ -8,22 +8,18 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.core.axes import arranged_image
 from napari_defocus.core.checks import (
     Linearize,
     Mode,
     Spectra,
-    check_block_size,
     check_linearize,
     check_mode,
-    check_noise_variance,
     check_real,
     check_stride,
 )
 from napari_defocus.core.image import PreparedImage, prepare_image
-from napari_defocus.core.intensity import Intensities
+from napari_defocus.core.intensity import Intensities, IntensityRange
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.io.lazy_arrays import need_large_extra
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.blur_spectra import (
     check_windows,
@@ -38,8 +34,8 @@ from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.psf.families import Disc, PSFFamily
-from napari_defocus.settings import BLOCK_SIZE, MapSettings
+from napari_defocus.psf.families import PSFFamily
+from napari_defocus.settings import MapSettings
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -210,30 +206,18 @@ class BlurCandidates:
         return float(top), float(left), float(bottom), float(right)
 
 
-def as_lazy(candidates: Any) -> Any:
-    """Return candidates that are `LazyCandidates`, of a stack or of a dask array; else None.
-
-    Raises
-    ------
-    TypeError
-        If they are no candidates at all.
-    """
-    if isinstance(candidates, BlurCandidates):
-        return None
-    if not hasattr(candidates, "results"):
-        raise TypeError(
-            f"candidates is {type(candidates).__name__}; it takes what estimate_candidates returns"
-        )
-    return candidates
-
-
-def check_not_lazy(candidates: Any) -> None:
+def check_candidates(candidates: Any) -> None:
     """Refuse candidates of a stack or a dask array, and what are no candidates."""
-    if as_lazy(candidates) is not None:
+    if isinstance(candidates, BlurCandidates):
+        return
+    if hasattr(candidates, "results"):
         raise TypeError(
             "candidates are those of a stack or a dask array; this takes those of one picture, "
             "as estimate_candidates gives them for an array of numpy"
         )
+    raise TypeError(
+        f"candidates is {type(candidates).__name__}; it takes what estimate_candidates returns"
+    )
 
 
 def check_place(row: float, column: float, shape: tuple[int, int]) -> None:
@@ -248,166 +232,80 @@ def check_place(row: float, column: float, shape: tuple[int, int]) -> None:
         )
 
 
-def estimate_candidates(
-    image: ArrayLike,
-    *,
-    psf: PSFFamily = Disc(),
-    noise_variance: float | ShotNoise | None = MapSettings.noise_variance,
-    window: int = MapSettings.window,
-    stride: int = MapSettings.stride,
-    mode: Mode = MapSettings.mode,
-    spectra: Spectra = "exact",
-    search: Search = "lattice",
-    linearize: Linearize | None = MapSettings.linearize,
-    intensity_range: tuple[float, float] | None = None,
-    axes: str | None = None,
-    channel_axis: int | None = None,
-    block_size: int = BLOCK_SIZE,
-    progress: Progress = silent,
-) -> BlurCandidates:
-    """Estimate which blur scales are likely around every place of a picture.
+@dataclass(frozen=True)
+class Estimation:
+    """How candidates are estimated: what `estimate_candidates` takes, checked, but for the noise.
 
-    Sections II and III-A of [1]_: Gabor filters give the local power spectra of both gradients
-    of the luminance (4); under white Gaussian gradients of unknown variance s behind a PSF of
-    scale r, and white noise, each power is exponentially distributed (5); the profile
-    likelihood (9) is evaluated on a lattice of scales, s by the fixed point (11), and its
-    local maxima are refined in the continuous domain by Newton steps on look-up tables.
-
-    Parameters
+    Attributes
     ----------
-    image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
-        Any real dtype, in any range: k * image + b has the same candidates. What is not known
-        carries no evidence: pixels that are NaN, masked (numpy.ma), or fully transparent, where
-        a fourth channel is opacity. A stack of pictures if `axes` or `channel_axis` says so.
-    psf : PSFFamily or callable, optional
-        The family of PSFs; a disc of up to 8 px by default. A function from a scale in px, up
-        to 8, to a kernel is a family too.
-    noise_variance : float or ShotNoise, optional
-        Variance of the noise in the luminance, intensities in [0, 1] (see `intensity_range`),
-        or how it grows with the intensity. By default it is found from the picture, see
-        `estimate_noise_variance`.
-    window : int, optional
-        Side N of the analysis window in px, odd, at least 17.
-    stride : int, optional
-        Distance between analysed windows in px. The powers are band-limited by their window:
-        4 loses nothing; 1 is the reference.
-    mode : {"curve", "paper"}, optional
-        "paper" is the likelihood (5) as it stands. "curve" expects that windows hold more than
-        one scale, and divides each gradient's logarithm of it by the dispersion, which limits
-        what windows say that the model does not fit.
-    spectra : {"exact", "fitted"}, optional
-        Blur spectra (6) tabulated from the family at every scale, or as the fit (12).
-    search : {"lattice", "fixed-point"}, optional
-        How the local maxima are found: among all scales of the curve, then by Newton steps; or
-        as in the paper, by the fixed point (11) and (13) from whole px, much slower.
-    linearize : {"srgb"}, optional
-        Decode the intensities into linear light first. Blur is linear in radiance; pictures
-        for displays are not.
-    intensity_range : (float, float), optional
-        The intensities that count as 0 and 1, and the picture's contrast. By default they are
-        found and told (`BlurCandidates.intensities`): integers of 8 and 16 bits are scaled by
-        their dtype's range, floats that hardly leave [0, 1] are taken as they are. Other floats
-        and wider integers are scaled to [0, 1] from 0 to 255 or from 0 to 65535 if they are
-        whole numbers that fit, else from the smallest to the largest value.
-    axes : str, optional
-        A letter for each axis of `image`: y, x, s for colours, any others for planes, such as
-        "tzyx". Each plane is a picture of its own.
-    channel_axis : int, optional
-        Instead: the axis of the colours; the last two of the others are rows and columns.
-    block_size : int, optional
-        Side, in px, of the parts in which planes of stacks and dask arrays are worked on;
-        memory is bounded by it.
-    progress : callable, optional
-        Called as ``progress(step, done)``; an exception from it ends the work.
-
-    Returns
-    -------
-    BlurCandidates or LazyCandidates
-        The latter of stacks and dask arrays: what the other functions take instead.
-
-    Raises
-    ------
-    TypeError
-        If `image` has no real dtype.
-    ValueError
-        If `image` has another shape, a side below 3 px or infinite values; if
-        `noise_variance` is negative; if `mode`, `spectra`, `search` or `linearize` is unknown;
-        if `window` is no odd number from 17 up, `stride` is not within 1 to `window`, or twice
-        the family's largest scale exceeds `window`.
-
-    References
-    ----------
-    .. [1] X. Zhu, S. Cohen, S. Schiller, P. Milanfar, "Estimating Spatially Varying Defocus
-       Blur from A Single Image", IEEE Transactions on Image Processing 22(12), 2013.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skimage.data import camera
-    >>> from napari_defocus import estimate_candidates, simulate_defocus
-    >>> blurred = simulate_defocus(camera()[:100, :100], np.full((100, 100), 3.0))
-    >>> candidates = estimate_candidates(blurred)
-    >>> float(np.median(candidates.radii[..., 0]).round())
-    3.0
+    psf : PSFFamily
+    window, stride : int
+        Side N of the analysis window, and the distance between windows, in px.
+    mode : {"curve", "paper"}
+    spectra : {"exact", "fitted"}
+    search : {"lattice", "fixed-point"} or None
+        How maxima are found; None looks for none, the radii are NaN.
+    linearize : {"srgb"} or None
+    intensity_range : (float, float) or None
+        The intensities that count as 0 and 1; None finds them.
     """
-    psf = check_windows(psf, window)
-    _check_settings(noise_variance, window, stride, mode, spectra, search)
-    check_block_size(block_size)
-    image, roles = arranged_image(image, axes, channel_axis)
-    if roles:
-        need_large_extra()
-        from napari_defocus.tiled.candidates import LazyCandidates
-        from napari_defocus.tiled.lazy_planes import LazyPlanes
-        from napari_defocus.tiled.tile_tasks import Estimation
 
-        check_linearize(linearize)
-        how = Estimation(psf, window, stride, mode, spectra, search, linearize, intensity_range)
-        planes = LazyPlanes.of(image, roles, intensity_range)
-        lazy: Any = LazyCandidates(planes, how, noise_variance, block_size)
-        return lazy
-    picture = prepare_image(image, intensity_range, linearize)
-    progress("Measuring the noise", 0.0)
-    if noise_variance is None:
-        noise_variance = noise_variance_of(picture)
-    shot_noise = noise_variance if isinstance(noise_variance, ShotNoise) else None
-    if isinstance(noise_variance, ShotNoise):
-        noise_variance = mean_shot_noise(picture, noise_variance)
-    return candidates_of(
-        picture,
-        psf=psf,
-        noise_variance=float(noise_variance),
-        shot_noise=shot_noise,
-        window=window,
-        stride=stride,
-        mode=mode,
-        spectra=spectra,
-        search=search,
-        progress=progress,
-    )
+    psf: PSFFamily
+    window: int = MapSettings.window
+    stride: int = MapSettings.stride
+    mode: Mode = MapSettings.mode
+    spectra: Spectra = "exact"
+    search: Search | None = "lattice"
+    linearize: Linearize | None = MapSettings.linearize
+    intensity_range: IntensityRange | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        object.__setattr__(self, "psf", check_windows(self.psf, self.window))
+        check_mode(self.mode)
+        check_stride(self.stride, self.window)
+        check_linearize(self.linearize)
+        if not isinstance(self.spectra, str) or self.spectra not in get_args(Spectra):
+            raise ValueError(f"spectra is {self.spectra!r}; it takes one of {get_args(Spectra)}")
+        if self.search is not None:
+            check_search(self.search)
+
+    def prepared(self, image: ArrayLike, intensities: Intensities | None = None) -> PreparedImage:
+        """Return a picture as spectra see it; of a tile, with the intensities of its plane."""
+        return prepare_image(image, intensities or self.intensity_range, self.linearize)
+
+    def candidates(
+        self,
+        picture: PreparedImage,
+        noise_variance: float | ShotNoise | None,
+        progress: Progress = silent,
+    ) -> BlurCandidates:
+        """Return the candidates of a prepared picture, whose noise is given or found."""
+        progress("Measuring the noise", 0.0)
+        if noise_variance is None:
+            noise_variance = noise_variance_of(picture)
+        if isinstance(noise_variance, ShotNoise):
+            mean = mean_shot_noise(picture, noise_variance)
+            return candidates_of(picture, self, mean, noise_variance, progress)
+        return candidates_of(picture, self, float(noise_variance), None, progress)
 
 
 def candidates_of(
     picture: PreparedImage,
-    *,
-    psf: PSFFamily,
+    how: Estimation,
     noise_variance: float,
-    shot_noise: ShotNoise | None,
-    window: int,
-    stride: int,
-    mode: Mode,
-    spectra: Spectra = "exact",
-    search: Search | None = "lattice",
+    shot_noise: ShotNoise | None = None,
     progress: Progress = silent,
 ) -> BlurCandidates:
-    """Do the work of `estimate_candidates`, which see, on a prepared picture.
+    """Return the candidates of a prepared picture: Gabor powers, likelihood curves, their maxima.
 
-    `noise_variance` is the mean over the whole picture if there is `shot_noise`. Without a
-    `search` no maxima are looked for, only the curves: the radii are NaN.
+    `noise_variance` is the mean over the whole picture if there is `shot_noise`.
     """
+    psf, window, stride, mode = how.psf, how.window, how.stride, how.mode
     gradient = gradients(picture.evened, picture.opaque, window)
     grid = AnalysisGrid.over(picture.shape, window, stride)
     fractions = grid.rows[0] % 1, grid.columns[0] % 1
-    table = spectrum_table(psf, window, *fractions, spectra, mixed=mode == "curve")
+    table = spectrum_table(psf, window, *fractions, how.spectra, mixed=mode == "curve")
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = None
     if shot_noise is not None:
@@ -433,11 +331,11 @@ def candidates_of(
             dispersion = np.ones(points.shape[:2], np.float32)
         else:
             block_curve, dispersion = quasi_log_likelihood(points, table, scales, least_noise)
-        if search == "lattice":
+        if how.search == "lattice":
             block_radii, block_heights = local_maxima(
                 points, block_curve, table, scales, least_noise, dispersion
             )
-        elif search == "fixed-point":
+        elif how.search == "fixed-point":
             block_radii, block_heights = fixed_point_maxima(points, table, least_noise, dispersion)
         else:
             block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
@@ -469,20 +367,8 @@ def candidates_of(
     )
 
 
-def _check_settings(
-    noise_variance: float | ShotNoise | None,
-    window: int,
-    stride: int,
-    mode: str,
-    spectra: str,
-    search: str,
-) -> None:
-    if not isinstance(noise_variance, ShotNoise):
-        check_noise_variance(noise_variance)
-    check_mode(mode)
-    check_stride(stride, window)
-    if not isinstance(spectra, str) or spectra not in get_args(Spectra):
-        raise ValueError(f"spectra is {spectra!r}; it takes one of {get_args(Spectra)}")
+def check_search(search: str) -> None:
+    """Check the name of a way to find maxima."""
     if not isinstance(search, str) or search not in get_args(Search):
         raise ValueError(f"search is {search!r}; it takes one of {get_args(Search)}")
 

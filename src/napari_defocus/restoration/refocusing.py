@@ -29,7 +29,7 @@ from napari_defocus.forward.occlusion import Layers, spread_layers
 from napari_defocus.optics.thin_lens import checked_side
 from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
 from napari_defocus.psf.measured import MeasuredPSF
-from napari_defocus.restoration.all_in_focus import restore_all_in_focus
+from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import RefocusSettings, RestorationSettings
 
 Float32 = NDArray[np.float32]
@@ -164,17 +164,8 @@ def change_focus(
     if sharp is None:
         # With a confidence, less blur is taken away where two depths meet.
         sure = np.ones(picture.shape, np.float32) if confidence is None else confidence
-        restored = restore_all_in_focus(
-            image,
-            blur_map,
-            psf=psf,
-            noise_variance=noise_variance,
-            confidence=sure,
-            tv_weight=tv_weight,
-            linearize=linearize,
-            intensity_range=intensity_range,
-            progress=within(progress, 0.0, 0.8),
-        )
+        how = Restoration(psf, noise_variance, tv_weight, linearize, intensity_range)
+        restored = how.restored(image, picture, blur_map, sure, within(progress, 0.0, 0.8))
         sharp = prepare_image(restored, (0.0, 1.0), linearize).color
         progress = within(progress, 0.8, 1.0)
     layers = _layers(signed, shifted, within(progress, 0.0, 0.1))

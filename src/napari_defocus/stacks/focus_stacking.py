@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.core.axes import said_axes
 from napari_defocus.core.checks import (
     Linearize,
     check_linearize,
@@ -60,7 +61,7 @@ class SharpestPlane:
         Each pixel from that plane, in the stack's dtype: all in focus.
     confidence : (H, W) float32 ndarray
         Probability that `position` is within half a plane of the true one, from 0 to 1. Where
-        no plane shows any texture it is low: positions are carried in from around.
+        no plane shows any texture it is low: positions are extrapolated from around.
     share_of_plane : (Z,) float64 ndarray
         Which share of the pixels is sharpest in each plane; together 1.
     px_per_plane : float
@@ -113,7 +114,7 @@ def sharpest_plane(
     radius of ``k |z - z0|`` px in plane z. How the local power of each place changes from plane to
     plane gives k, and z0 to a small part of a plane, see `napari_defocus.stacks.depth_from_focus`.
     The positions are made coherent as a blur map is, see `label_blur_map`, and follow the picture's
-    edges where they jump; where there is no texture, they are carried in from around.
+    edges where they jump; where there is no texture, they are extrapolated from around.
 
     Planes are read one at a time, two to four times each, and never all at once.
 
@@ -129,7 +130,7 @@ def sharpest_plane(
         t for times, and another letter for the planes. Channels are never taken for planes,
         times are if there is no other axis of planes.
     channel_axis : int, optional
-        Which axis holds the colours; the others are planes, rows and columns. Instead of `axes`.
+        Old: which axis holds the colours; `axes` says it.
     channel, time : int, optional
         Which one along c and t to take, from 0; needed if there are several.
     px_per_plane : float, optional
@@ -192,7 +193,8 @@ def sharpest_plane(
     True
     """
     psf = check_windows(psf, window)
-    planes = StackPlanes.of(stack, axes, channel_axis, channel=channel, time=time)
+    axes = said_axes(stack, axes, channel_axis, "stack")
+    planes = StackPlanes.of(stack, axes, channel=channel, time=time)
     _check_settings(px_per_plane, noise_variance, stride, window)
     check_weights(smoothness, color_sigma)
     check_linearize(linearize)

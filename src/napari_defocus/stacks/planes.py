@@ -35,7 +35,6 @@ class StackPlanes:
         cls,
         stack: Any,
         axes: str | None = None,
-        channel_axis: int | None = None,
         *,
         channel: int | None = None,
         time: int | None = None,
@@ -57,7 +56,7 @@ class StackPlanes:
         if np.dtype(array.dtype).kind not in "buif":
             raise TypeError(f"stack has dtype {array.dtype}; it takes real numbers")
         shape = tuple(int(length) for length in array.shape)
-        roles = _roles(shape, axes, channel_axis)
+        roles = _roles(shape, axes)
         focus = focus_axis(shape, roles, channel=channel, time=time)
         within = [role for role in roles if role in "yxs"]
         planes = cls(array, focus, tuple(within.index(role) for role in "yxs" if role in within))
@@ -103,10 +102,10 @@ class StackPlanes:
         return plane.transpose(self.order)
 
 
-def _roles(shape: tuple[int, ...], axes: str | None, channel_axis: int | None) -> str:
+def _roles(shape: tuple[int, ...], axes: str | None) -> str:
     """Return a letter for each axis, see `axis_roles`; those of the planes may be several."""
-    if axes is not None or channel_axis is not None:
-        return axis_roles(shape, axes, channel_axis, "stack")
+    if axes is not None:
+        return axis_roles(shape, axes, name="stack")
     colors = shape[-1:] in ((3,), (4,))
     usual = "zyxs" if colors else "zyx"
     ones = len(shape) - len(usual)

@@ -10,9 +10,8 @@ over into each other. A task takes pixels and returns maps, so that memory is bo
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 from operator import itemgetter
 from typing import Any
 
@@ -26,9 +25,8 @@ from numpy.typing import DTypeLike, NDArray
 from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
 from napari_defocus.core.known_pixels import known_values, limits_of
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.likelihood.blur_spectra import label_scales
-from napari_defocus.likelihood.candidates import Search
+from napari_defocus.likelihood.candidates import Estimation, Search
 from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
@@ -38,13 +36,11 @@ from napari_defocus.tiled.tile_graph import (
     PartGraph,
     Parts,
     after,
-    cut_together,
     pixels,
     placed,
     when_there,
 )
 from napari_defocus.tiled.tile_tasks import (
-    Estimation,
     Noise,
     Preparing,
     Wanted,
@@ -151,7 +147,7 @@ class LazyCandidates:
         See `variances` for what was found.
         """
         asked = {index: self._asked_noise(index) for index in np.ndindex(self.plane_shape)}
-        return replace(self, found_noise=_compute(asked, progress, "Measuring the noise"))
+        return replace(self, found_noise=run_tasks(asked, progress, "Measuring the noise"))
 
     @property
     def variances(self) -> NDArray[np.float64]:
@@ -435,48 +431,11 @@ def computed(arrays: dict[str, Any], progress: Progress) -> dict[str, NDArray[An
     -------
     dict of str to ndarray
     """
-    return dict(_compute(arrays, progress))
+    return dict(run_tasks(arrays, progress))
 
 
-def store(arrays: dict[str, Any], writers: dict[str, OmeZarrWriter], progress: Progress) -> None:
-    """Compute dask arrays part by part into stores, and finish these.
-
-    What was written before an interruption is not computed again.
-
-    Parameters
-    ----------
-    arrays : dict of str to dask.array.Array
-        From `LazyCandidates.measure` and the like, all of one shape.
-    writers : dict of str to OmeZarrWriter
-        A new store for each, of its shape; all with tiles of one size.
-    progress : callable
-        An exception from it ends the work; the stores may be gone on with.
-    """
-    write = delayed(OmeZarrWriter.write_region, pure=False)
-    first, tile = next(iter(arrays.values())), next(iter(writers.values())).tile
-    regions = list(whole_tiles(first, tile))
-    left = [
-        write(writers[name], region, piece[name])
-        for region, piece in zip(regions, cut_together(arrays, regions), strict=True)
-        for name in arrays
-        if not writers[name].has_region(region)
-    ]
-    _compute(left, progress)
-    for writer in writers.values():
-        writer.finish()
-
-
-def whole_tiles(array: Any, tile: int) -> Iterator[tuple[slice | int, ...]]:
-    """Return regions that make up a dask array, (..., H, W): its blocks, as whole tiles of px."""
-    *planes, height, width = array.shape
-    side = tile * max(1, max(array.chunks[-2] + array.chunks[-1]) // tile)
-    for index in np.ndindex(*planes):
-        for top, left in product(range(0, height, side), range(0, width, side)):
-            rows = slice(top, min(top + side, height))
-            yield (*index, rows, slice(left, min(left + side, width)))
-
-
-def _compute(tasks: Any, progress: Progress, step: str = _STEP) -> Any:
+def run_tasks(tasks: Any, progress: Progress, step: str = _STEP) -> Any:
+    """Compute delayed values together, by whichever scheduler is set, and report."""
     progress(step, 0.0)
     with _Reports(progress, step):
         (done,) = dask.compute(tasks, num_workers=_THREADS)

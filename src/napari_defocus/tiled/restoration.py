@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from dask.delayed import Delayed
 from numpy.typing import NDArray
 
-from napari_defocus.core.checks import Linearize
-from napari_defocus.core.image import PreparedImage, prepare_image, with_unknown
-from napari_defocus.core.intensity import Intensities, IntensityRange, needs_limits
+from napari_defocus.core.intensity import needs_limits
 from napari_defocus.core.progress import Progress
-from napari_defocus.psf.families import PSFFamily
-from napari_defocus.restoration.all_in_focus import in_shape_of, restored_colors
+from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import MapSettings
 from napari_defocus.tiled.candidates import (
     computed,
@@ -33,42 +30,18 @@ _REACH = 64
 """px around a part that have a say in it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PartRestoration:
-    """How a part is restored: what `restore_all_in_focus` takes, but for arrays."""
-
-    psf: PSFFamily
-    noise_variance: float | None
-    tv_weight: float | None
-    linearize: Linearize | None
-    intensity_range: IntensityRange | None
-
-    def prepared(
-        self, pixels: NDArray[Any], intensities: Intensities | None = None
-    ) -> PreparedImage:
-        """Return the picture as it is restored; of a part, with the intensities of its plane."""
-        return prepare_image(pixels, intensities or self.intensity_range, self.linearize)
-
-
 def restore_part(
     pixels: NDArray[Any],
     blur_map: NDArray[Any],
     confidence: NDArray[Any] | None,
     part: Part,
     noise: Noise,
-    how: PartRestoration,
+    how: Restoration,
 ) -> Float32:
     """Restore what a part sees, and return its own pixels and those that it goes over into."""
-    colors = restored_colors(
-        how.prepared(pixels, noise.intensities),
-        blur_map,
-        psf=how.psf,
-        noise_variance=noise.known,
-        confidence=confidence,
-        tv_weight=how.tv_weight,
-        linearize=how.linearize,
-    )
-    restored = with_unknown(in_shape_of(pixels, colors), pixels)
+    how = replace(how, noise_variance=noise.known)
+    picture = how.prepared(pixels, noise.intensities)
+    restored = how.restored(pixels, picture, blur_map, confidence)
     return restored[part.own(extended=True)].copy()
 
 
@@ -76,7 +49,7 @@ def restore_planes(
     planes: LazyPlanes,
     blur_map: Any,
     confidence: Any,
-    how: PartRestoration,
+    how: Restoration,
     block_size: int,
     progress: Progress,
 ) -> Any:
@@ -119,14 +92,14 @@ def restore_planes(
     return (computed(restored, progress) if planes.in_memory else restored)["restored"]
 
 
-def _shared_limits(planes: LazyPlanes, how: PartRestoration) -> Any:
+def _shared_limits(planes: LazyPlanes, how: Restoration) -> Any:
     """Return the limits of all planes, delayed, if their range is found: it must not flicker."""
     if not (planes.counts and needs_limits(planes.image.dtype, how.intensity_range)):
         return None
     return limits_of_planes([planes.plane(index) for index in np.ndindex(planes.counts)])
 
 
-def _noise(plane: Any, how: PartRestoration, shared: Any, alone: bool) -> Any:
+def _noise(plane: Any, how: Restoration, shared: Any, alone: bool) -> Any:
     """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
     given = how.noise_variance
     if alone and shared is None:

@@ -8,15 +8,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.core.checks import Linearize, Mode, Spectra
-from napari_defocus.core.image import PreparedImage, prepare_image
+from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, found_intensities
-from napari_defocus.labeling.blur_map import blur_map_of_scene, carried_in, coarse_problem
-from napari_defocus.labeling.confidence import confidence_and_caution, confidence_map
+from napari_defocus.labeling.blur_map import coarse_problem, extrapolated, labeled_blur_map
+from napari_defocus.labeling.confidence import confidence_and_caution, map_confidence
 from napari_defocus.labeling.graph_cuts import minimize_energy, solve_exactly
-from napari_defocus.labeling.problem import CoarseLabels, Scene
-from napari_defocus.labeling.segmentation import coarse_mask_problem, mask_of_scene
-from napari_defocus.likelihood.candidates import BlurCandidates, Search, candidates_of
+from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
+from napari_defocus.labeling.segmentation import coarse_mask_problem, labeled_mask
+from napari_defocus.likelihood.candidates import BlurCandidates, Estimation, candidates_of
 from napari_defocus.likelihood.noise import (
     NoiseSample,
     ShotNoise,
@@ -24,8 +23,7 @@ from napari_defocus.likelihood.noise import (
     noise_variance_of,
     noise_variance_of_samples,
 )
-from napari_defocus.psf.families import PSFFamily
-from napari_defocus.settings import MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.tiled.tiles import Part, blended
 
 Float32 = NDArray[np.float32]
@@ -40,44 +38,8 @@ class Preparing(Protocol):
     def intensity_range(self) -> IntensityRange | None:
         """The range that is given."""
 
-    def prepared(self, pixels: NDArray[Any], intensities: Intensities | None) -> PreparedImage:
+    def prepared(self, image: NDArray[Any], intensities: Intensities | None) -> PreparedImage:
         """Return a picture, or a piece of one whose intensities were found before."""
-
-
-@dataclass(frozen=True)
-class Estimation:
-    """How candidates are estimated: what `estimate_candidates` takes, but for the noise."""
-
-    psf: PSFFamily
-    window: int
-    stride: int
-    mode: Mode
-    spectra: Spectra
-    search: Search | None
-    linearize: Linearize | None
-    intensity_range: IntensityRange | None
-
-    def prepared(
-        self, pixels: NDArray[Any], intensities: Intensities | None = None
-    ) -> PreparedImage:
-        """Return the picture as spectra see it; of a part, with the intensities of its plane."""
-        return prepare_image(pixels, intensities or self.intensity_range, self.linearize)
-
-    def candidates(self, pixels: NDArray[Any], noise: Noise) -> BlurCandidates:
-        """Estimate those of a part, or of a plane."""
-        picture = self.prepared(pixels, noise.intensities)
-        variance, shot_noise = noise.of(picture)
-        return candidates_of(
-            picture,
-            psf=self.psf,
-            noise_variance=variance,
-            shot_noise=shot_noise,
-            window=self.window,
-            stride=self.stride,
-            mode=self.mode,
-            spectra=self.spectra,
-            search=self.search,
-        )
 
 
 @dataclass(frozen=True)
@@ -130,78 +92,75 @@ class Noise:
         return cls(given, variance, intensities.above_noise(variance))
 
 
+def candidates_of_tile(pixels: NDArray[Any], noise: Noise, how: Estimation) -> BlurCandidates:
+    """Estimate the candidates of a tile, or of a plane."""
+    picture = how.prepared(pixels, noise.intensities)
+    return candidates_of(picture, how, *noise.of(picture))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
     """What is asked for of a picture; all of it costs hardly more than the first.
 
     Attributes
     ----------
-    map_weights : (float, float) or None
-        Smoothness and sigma of the colours, for a map.
+    map : MapSettings or None
+        How candidates are labelled, for a map.
     confidence : bool
         Whether to give the confidence of the map.
     risk : float or None
         For the map that `cautious_blur_map` gives.
-    carried_in : bool
+    extrapolated : bool
         Whether to tell where the map has no evidence of its own.
     mask : MaskSettings or None
     """
 
-    map_weights: tuple[float, float] | None = None
+    map: MapSettings | None = None
     confidence: bool = False
     risk: float | None = None
-    carried_in: bool = False
+    extrapolated: bool = False
     mask: MaskSettings | None = None
 
     @property
     def dtypes(self) -> dict[str, type]:
         """Names of the results, and what they hold."""
         asked = {
-            "blur_map": (self.map_weights is not None, np.float32),
+            "blur_map": (self.map is not None, np.float32),
             "confidence": (self.confidence, np.float32),
             "cautious": (self.risk is not None, np.float32),
-            "carried_in": (self.carried_in, np.bool_),
+            "extrapolated": (self.extrapolated, np.bool_),
             "mask": (self.mask is not None, np.uint8),
         }
         return {name: dtype for name, (is_asked, dtype) in asked.items() if is_asked}
 
-    def problems(self, scene: Scene, levels: int, seeds: NDArray[Any] | None) -> dict[str, Problem]:
+    def problems(
+        self, problem: LabelingProblem, levels: int, seeds: NDArray[Any] | None
+    ) -> dict[str, Problem]:
         """Return what the cells of a part cost: for the map, and for the mask."""
         found: dict[str, Problem] = {}
-        if self.map_weights is not None:
-            smoothness, color_sigma = self.map_weights
-            found["blur_map"] = coarse_problem(
-                scene, levels, smoothness=smoothness, color_sigma=color_sigma
-            )
+        if self.map is not None:
+            found["blur_map"] = coarse_problem(problem, levels, self.map)
         if self.mask is not None:
-            found["mask"] = coarse_mask_problem(scene, levels, **vars(self.mask), seeds=seeds)
+            found["mask"] = coarse_mask_problem(problem, levels, self.mask, seeds)
         return found
 
     def measure(
-        self, scene: Scene, around: dict[str, CoarseLabels], seeds: NDArray[Any] | None
+        self, problem: LabelingProblem, around: dict[str, CoarseLabels], seeds: NDArray[Any] | None
     ) -> Found:
         """Return all that is asked for of a part, everywhere that it sees."""
         found: Found = {}
-        if self.map_weights is not None:
-            smoothness, color_sigma = self.map_weights
-            blur_map = blur_map_of_scene(
-                scene,
-                smoothness=smoothness,
-                color_sigma=color_sigma,
-                around=around.get("blur_map"),
-            )
+        if self.map is not None:
+            blur_map = labeled_blur_map(problem, self.map, around=around.get("blur_map"))
             found["blur_map"] = blur_map
             if self.risk is not None:
-                sure, safe = confidence_and_caution(scene.candidates, blur_map, risk=self.risk)
+                sure, safe = confidence_and_caution(problem.candidates, blur_map, risk=self.risk)
                 found.update(confidence=sure, cautious=safe)
             elif self.confidence:
-                found["confidence"] = confidence_map(scene.candidates, blur_map)
-            if self.carried_in:
-                found["carried_in"] = carried_in(scene)
+                found["confidence"] = map_confidence(problem.candidates, blur_map)
+            if self.extrapolated:
+                found["extrapolated"] = extrapolated(problem)
         if self.mask is not None:
-            found["mask"] = mask_of_scene(
-                scene, **vars(self.mask), seeds=seeds, around=around.get("mask")
-            )
+            found["mask"] = labeled_mask(problem, self.mask, seeds=seeds, around=around.get("mask"))
         return found
 
 
@@ -240,11 +199,11 @@ def survey_part(
     wanted: Wanted,
 ) -> dict[str, Problem]:
     """Return what the cells of a part cost, its own ones."""
-    scene = Scene.of(how.candidates(pixels, noise), pixels)
+    problem = LabelingProblem.of(candidates_of_tile(pixels, noise, how), pixels)
     own = part.own_cells(levels)
     return {
         name: (data[own].copy(), weights[:, *own].copy())
-        for name, (data, weights) in wanted.problems(scene, levels, seeds).items()
+        for name, (data, weights) in wanted.problems(problem, levels, seeds).items()
     }
 
 
@@ -282,13 +241,13 @@ def measure_part(
     wanted: Wanted,
 ) -> Found:
     """Return what is asked for of a part: of its own pixels, and of those it goes over into."""
-    scene = Scene.of(how.candidates(pixels, noise), pixels)
+    problem = LabelingProblem.of(candidates_of_tile(pixels, noise, how), pixels)
     at = part.cells(levels)
     around = {
         name: CoarseLabels(np.ascontiguousarray(labels[at]), part.own_cells(0), part.inner_sides)
         for name, labels in (cells or {}).items()
     }
-    found = wanted.measure(scene, around, seeds)
+    found = wanted.measure(problem, around, seeds)
     return {
         name: found[name][part.own(extended=dtype is np.float32)].copy()
         for name, dtype in wanted.dtypes.items()
@@ -304,7 +263,7 @@ def judge_part(
     risk: float,
 ) -> Found:
     """Return the confidence of a given map in a part, and what of it is safe to take away."""
-    sure, safe = confidence_and_caution(how.candidates(pixels, noise), blur_map, risk=risk)
+    sure, safe = confidence_and_caution(candidates_of_tile(pixels, noise, how), blur_map, risk=risk)
     return {"confidence": sure[part.own()].copy(), "cautious": safe[part.own()].copy()}
 
 
@@ -312,7 +271,7 @@ def windows_of_part(
     pixels: NDArray[Any], part: Part, noise: Noise, how: Estimation, name: str
 ) -> Float32:
     """Return an attribute of the candidates of a part's own windows."""
-    values: Float32 = getattr(how.candidates(pixels, noise), name)
+    values: Float32 = getattr(candidates_of_tile(pixels, noise, how), name)
     return values[part.own_cells(0)].copy()
 
 

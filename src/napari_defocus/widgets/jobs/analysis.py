@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from napari_defocus.widgets.jobs.estimation import (
     estimated_map,
     same_candidates,
     segmented,
-    weights_of,
 )
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_layers import (
@@ -142,20 +141,19 @@ class Analysis(Wanted):
         There is no confidence among them. For `lane` see `run_elsewhere`.
         """
         from napari_defocus.labeling.blur_map import preview_of_blur_map
-        from napari_defocus.labeling.segmentation import mask_of_scene
+        from napari_defocus.labeling.segmentation import labeled_mask
 
         layers = []
         common: dict[str, Any] = {"lane": lane, "progress": progress}
         if self.blur_map:
             settings = self.estimation
-            weights = weights_of(settings)
-            values = analysed.on_scene(preview_of_blur_map, **weights, **common)
+            values = analysed.on_problem(preview_of_blur_map, settings=settings, **common)
             found = analysed.candidates
             used = settings, found.noise_variance, found.psf, found.intensities
             layers.append(blur_map_layer(self.plane, values, *used))
         if self.mask is not None:
-            keywords = {**asdict(self.mask), "seeds": self._seeds, **common}
-            mask = analysed.on_scene(mask_of_scene, preview=True, **keywords)
+            common |= {"settings": self.mask, "seeds": self._seeds, "preview": True}
+            mask = analysed.on_problem(labeled_mask, **common)
             layers.append(self._mask_layer(analysed, mask))
         for _, keywords, _ in layers:
             keywords["metadata"][METADATA_KEY]["preview"] = True

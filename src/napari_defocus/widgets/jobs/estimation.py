@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 from uuid import uuid4
@@ -11,14 +11,15 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus import pipeline
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
-from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.settings import MapSettings, MaskSettings, RestorationSettings
 from napari_defocus.widgets.jobs.cache import LayerCache, fingerprint
 from napari_defocus.widgets.layers.image_layers import Plane
 
 if TYPE_CHECKING:
-    from napari_defocus import BlurCandidates, PSFFamily, ShotNoise
+    from napari_defocus import BlurCandidates, PSFFamily
     from napari_defocus.core.intensity import Intensities
     from napari_defocus.labeling.problem import Ingredients
 
@@ -131,7 +132,7 @@ class Analysed:
         """Whether it is labelled in another process, and a preview is worth it."""
         return self.picture.is_large
 
-    def on_scene(
+    def on_problem(
         self,
         function: Callable[..., Any],
         *,
@@ -139,7 +140,7 @@ class Analysed:
         progress: Progress = silent,
         **keywords: Any,
     ) -> Any:
-        """Call a function of a `Scene` in another process, which remembers this one.
+        """Call a function of a `LabelingProblem` in another process, which remembers this one.
 
         Parameters
         ----------
@@ -151,11 +152,14 @@ class Analysed:
         **keywords
             Of the function.
         """
-        from napari_defocus.labeling.problem import UnknownSceneError, with_scene
+        from napari_defocus.labeling.problem import (
+            UnknownProblemError,
+            with_problem,
+        )
 
         def call(ingredients: Ingredients | None) -> Any:
             return run_elsewhere(
-                with_scene,
+                with_problem,
                 *(function, self.name, ingredients),
                 lane=lane,
                 progress=progress,
@@ -164,7 +168,7 @@ class Analysed:
 
         try:
             return call(None)
-        except UnknownSceneError:
+        except UnknownProblemError:
             return call((self.candidates, self.picture.image, None))
 
 
@@ -199,26 +203,7 @@ def analysed_picture(
 
 
 def _candidates(picture: Picture, settings: MapSettings, progress: Progress) -> BlurCandidates:
-    from napari_defocus import estimate_candidates, estimate_shot_noise
-    from napari_defocus.compilation import compile_kernels
-
-    picture.call(compile_kernels, progress=progress)
-    common: dict[str, Any] = {"linearize": settings.linearize}
-    noise: float | ShotNoise | None = settings.noise_variance
-    if settings.shot_noise:
-        progress("Measuring the noise", 0.0)
-        noise = estimate_shot_noise(picture.image, **common)
-    return picture.call(
-        estimate_candidates,
-        picture.image,
-        psf=settings.family(),
-        noise_variance=noise,
-        window=settings.window,
-        stride=settings.stride,
-        mode=settings.mode,
-        **common,
-        progress=progress,
-    )
+    return picture.call(pipeline.measure_candidates, picture.image, settings, progress=progress)
 
 
 def weights_of(settings: MapSettings) -> dict[str, Any]:
@@ -260,24 +245,18 @@ def estimated_map(
 
 
 def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress) -> EstimatedMap:
-    from napari_defocus import cautious_blur_map, confidence_map, label_blur_map
-
     candidates, picture = analysed.candidates, analysed.picture
-    weights = weights_of(settings)
-    labelling = within(progress, 0.0, 0.8)
-    measuring = "Measuring the confidence"
     if analysed.is_large:
-        from napari_defocus.labeling.blur_map import blur_map_of_scene, confidence_of_scene
+        from napari_defocus.labeling.blur_map import labeled_blur_map
+        from napari_defocus.labeling.confidence import confidence_of_problem
 
-        values = analysed.on_scene(blur_map_of_scene, progress=labelling, **weights)
-        sure, safe = analysed.on_scene(
-            confidence_of_scene, blur_map=values, progress=within(progress, 0.8, 1.0, measuring)
-        )
+        labeling, judging = within(progress, 0.0, 0.8), within(progress, 0.8, 1.0)
+        values = analysed.on_problem(labeled_blur_map, settings=settings, progress=labeling)
+        sure, safe = analysed.on_problem(confidence_of_problem, blur_map=values, progress=judging)
     else:
-        values = label_blur_map(candidates, picture.image, progress=labelling, **weights)
-        progress(measuring, 0.8)
-        sure = confidence_map(candidates, values)
-        safe = cautious_blur_map(candidates, values)
+        found = pipeline.label_map(candidates, picture.image, settings, progress=progress)
+        values, sure = found.blur_map, found.confidence
+        safe = found.cautious(RestorationSettings.risk)
     used = candidates.noise_variance, candidates.psf, candidates.intensities
     return EstimatedMap(values, safe, sure, *used)
 
@@ -298,11 +277,9 @@ def segmented(
     progress: Progress,
 ) -> NDArray[np.uint8]:
     """Return the in-focus mask of a plane, see `napari_defocus.segment_in_focus`."""
-    from napari_defocus import segment_in_focus
-
-    keywords = {**asdict(settings), "seeds": seeds, "progress": progress}
     if analysed.is_large:
-        from napari_defocus.labeling.segmentation import mask_of_scene
+        from napari_defocus.labeling.segmentation import labeled_mask
 
-        return analysed.on_scene(mask_of_scene, **keywords)
-    return segment_in_focus(analysed.candidates, analysed.picture.image, **keywords)
+        return analysed.on_problem(labeled_mask, settings=settings, seeds=seeds, progress=progress)
+    candidates, image = analysed.candidates, analysed.picture.image
+    return pipeline.segment(candidates, image, settings, seeds=seeds, progress=progress)

@@ -66,7 +66,8 @@ class Restoration:
 
     def made(self, cache: JobCache, progress: Progress) -> Restored:
         """Return the restored picture: that of an earlier run, if nothing has changed."""
-        from napari_defocus import estimate_noise_variance, restore_all_in_focus
+        from napari_defocus import estimate_noise_variance, pipeline
+        from napari_defocus.restoration import all_in_focus
 
         picture = Picture.of(self.plane)
         progress("Reading the picture", 0.0)
@@ -76,10 +77,9 @@ class Restoration:
         if self.protect and blur_map.safe is not None:
             values = blur_map.safe
         progress("Measuring the noise", _MAP_SHARE)
-        common: dict[str, Any] = {"linearize": self.linearize}
         noise_variance = self.settings.noise_variance
         if noise_variance is None:
-            noise_variance = estimate_noise_variance(picture.image, **common)
+            noise_variance = estimate_noise_variance(picture.image, linearize=self.linearize)
         key = (
             *(*picture.key, fingerprint(values), blur_map.psf, noise_variance),
             *(self.settings.tv_weight, self.linearize),
@@ -87,16 +87,11 @@ class Restoration:
         )
 
         def restore() -> Float32:
+            tv_weight = self.settings.tv_weight
+            how = all_in_focus.Restoration(blur_map.psf, noise_variance, tv_weight, self.linearize)
+            report = within(progress, _MAP_SHARE, 1.0)
             return picture.call(
-                restore_all_in_focus,
-                picture.image,
-                values,
-                psf=blur_map.psf,
-                noise_variance=noise_variance,
-                confidence=confidence,
-                tv_weight=self.settings.tv_weight,
-                **common,
-                progress=within(progress, _MAP_SHARE, 1.0),
+                pipeline.restore, picture.image, values, confidence, how, progress=report
             )
 
         sharp = cache.restored.get(self.plane.layer, key, restore)

@@ -76,7 +76,7 @@ def measure_into(
     """
     import dask
 
-    from napari_defocus.tiled.candidates import store
+    from napari_defocus.io.tiled_stores import store
 
     # Its end waits for the parts that are still worked on: they write into the stores.
     with ThreadPoolExecutor(_THREADS) as pool, dask.config.set(pool=pool):
@@ -89,27 +89,10 @@ def measure_into(
 
 
 def _candidates(work: TiledJob, progress: Progress) -> Any:
-    from napari_defocus import estimate_candidates, estimate_shot_noise
-    from napari_defocus.tiled.candidates import sampled
+    from napari_defocus.pipeline import measure_candidates
 
     image, settings = as_dask(work.image.array, work.axes), work.estimation
-    light: dict[str, Any] = {"linearize": settings.linearize}
-    noise: Any = settings.noise_variance
-    if settings.shot_noise:
-        progress("Measuring the noise", 0.0)
-        planes = image.ndim - len(set(work.axes) & set("yxs"))
-        noise = estimate_shot_noise(sampled(image[(0,) * planes]), **light)
-    return estimate_candidates(
-        image,
-        axes=work.axes,
-        psf=settings.family(),
-        noise_variance=noise,
-        window=settings.window,
-        stride=settings.stride,
-        mode=settings.mode,
-        block_size=BLOCK_SIZE,
-        **light,
-    )
+    return measure_candidates(image, settings, None, progress, axes=work.axes)
 
 
 def as_dask(image: Any, axes: str) -> Any:
@@ -132,7 +115,7 @@ def _found(work: TiledJob, candidates: Any) -> dict[str, Any]:
 
     settings = work.estimation
     wanted = Wanted(
-        map_weights=(settings.smoothness, settings.color_sigma) if work.blur_map else None,
+        map=settings if work.blur_map else None,
         confidence=work.blur_map and work.confidence,
         mask=work.mask,
     )

@@ -21,7 +21,8 @@ from typing import Any
 from napari.types import LayerDataTuple
 
 from napari_defocus import __version__
-from napari_defocus.io.lazy_arrays import lazy_array, need_large_extra
+from napari_defocus.core.extras import need_large_extra
+from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.ome_zarr import StoredArray
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter, new_ome_zarr
 from napari_defocus.settings import MapSettings, MaskSettings

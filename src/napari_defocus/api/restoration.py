@@ -1,0 +1,115 @@
+"""All-in-focus pictures of a picture, a stack or a dask array."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.api.dispatch import tiled_planes
+from napari_defocus.core.axes import arranged_image, said_axes
+from napari_defocus.core.checks import Linearize, check_block_size
+from napari_defocus.core.progress import Progress, silent
+from napari_defocus.psf.families import Disc, PSFFamily
+from napari_defocus.restoration.all_in_focus import Restoration
+from napari_defocus.settings import BLOCK_SIZE, MapSettings, RestorationSettings
+
+Float32 = NDArray[np.float32]
+
+
+def restore_all_in_focus(
+    image: ArrayLike,
+    blur_map: ArrayLike,
+    *,
+    psf: PSFFamily = Disc(),
+    noise_variance: float | None = RestorationSettings.noise_variance,
+    confidence: ArrayLike | None = None,
+    tv_weight: float | None = RestorationSettings.tv_weight,
+    linearize: Linearize | None = MapSettings.linearize,
+    intensity_range: tuple[float, float] | None = None,
+    axes: str | None = None,
+    channel_axis: int | None = None,
+    block_size: int = BLOCK_SIZE,
+    progress: Progress = silent,
+) -> Float32:
+    """Take the blur of a map away: minimise (19).
+
+    ``sum_x w_x |(h_x * f)[x] - g[x]|^2 + lambda sum_x |grad f[x]|``, the total variation over both
+    directions and all channels together. With an exact map, f is as good as the data allow. An
+    estimated one is best softened, because too large a radius makes rings: give
+    ``cautious_blur_map(candidates, blur_map)`` instead of the map, and its `confidence`.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
+        Any real dtype, see `estimate_candidates`. A stack if `axes` says so,
+        then `blur_map` and `confidence` are (..., H, W), as `estimate_blur_map` gives them.
+        Pixels that are not known are no data: opacity comes back as it was, and NaN or masked
+        pixels are NaN.
+    blur_map : (H, W) array_like
+        Scale at every pixel, in px, within the family's domain.
+    psf : PSFFamily or callable, optional
+    noise_variance : float, optional
+        Variance of the noise in the luminance, intensities in [0, 1], as `estimate_candidates`
+        takes it: noise of variance v in each channel of a colour picture is 0.45 v. Found from
+        the picture if left out.
+    confidence : (H, W) array_like, optional
+        How sure the map is, from 0 to 1, see `confidence_map`. The data of a pixel count less,
+        the more a wrong radius there would change them, w = v / (v + (dg/dr)^2 d^2) with
+        d = 2 (1 - confidence)^3 px; and where the result does not explain the picture, the
+        radius is reduced. Without it, the map is taken as exact.
+    tv_weight : float, optional
+        lambda; larger is smoother. 30 v + 3e-5 if left out, v the noise variance of a channel,
+        for a picture of full contrast; see `usual_tv_weight`.
+    linearize : {"srgb"}, optional
+        Decode the picture into linear light before, and encode it afterwards.
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1; found by default, see `estimate_candidates`. The
+        planes of a stack share what is found.
+    axes, channel_axis, block_size
+        See `estimate_candidates`.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    float32 ndarray
+        Of the shape of `image`, in [0, 1], which is `intensity_range`; NaN where `image` is NaN
+        or masked. Of a stack, its planes' axes first and its colours last. A dask array if one
+        came in.
+
+    Raises
+    ------
+    TypeError
+        If `image` is no picture, or `blur_map` or `confidence` holds no real numbers.
+    ValueError
+        If `image` is no picture (see `estimate_candidates`), if `blur_map` or `confidence` has
+        another shape, scales outside the domain or a confidence outside [0, 1], or if
+        `noise_variance`, `tv_weight` or `linearize` is impossible.
+
+    References
+    ----------
+    .. [1] X. Zhu, S. Cohen, S. Schiller, P. Milanfar, "Estimating Spatially Varying Defocus
+       Blur from A Single Image", IEEE Transactions on Image Processing 22(12), 2013, (19).
+    .. [2] L. I. Rudin, S. Osher, E. Fatemi, "Nonlinear total variation based noise removal
+       algorithms", Physica D 60, 1992.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import restore_all_in_focus, simulate_defocus
+    >>> sharp, radius = camera()[100:180, 200:280] / 255, np.full((80, 80), 2.0)
+    >>> blurred = simulate_defocus(sharp, radius, noise_variance=1e-6, rng=0)
+    >>> restored = restore_all_in_focus(blurred, radius)
+    >>> float(np.abs(blurred - sharp).mean() / np.abs(restored - sharp).mean()) > 2
+    True
+    """
+    how = Restoration(psf, noise_variance, tv_weight, linearize, intensity_range)
+    check_block_size(block_size)
+    image, roles = arranged_image(image, said_axes(image, axes, channel_axis))
+    if roles:
+        from napari_defocus.tiled.restoration import restore_planes
+
+        planes = tiled_planes(image, roles, intensity_range)
+        return restore_planes(planes, blur_map, confidence, how, block_size, progress)
+    return how.restored(image, how.prepared(image), blur_map, confidence, progress)
