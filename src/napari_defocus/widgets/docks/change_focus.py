@@ -111,7 +111,7 @@ class ChangeFocusWidget(FromMapPanel):
 
     def work(self) -> Refocusing:
         """Return what the form asks for now, see `FromMapPanel.work`."""
-        plane = self._shown_plane()
+        plane = self.shown_plane()
         linearize: Linearize | None = "srgb" if self.linear_light.value else None
         return Refocusing(
             restoration=self.restoration.restoration(

@@ -108,7 +108,6 @@ class DefocusWidget(DefocusPanel):
         self.rows.addWidget(self.pages.native)
         self.rows.addWidget(self.tools.native)
         self.rows.addStretch(1)
-        self.depth.wrap_note()
         self.status.value = _FIRST_STEPS
 
     def _wire(self) -> None:
@@ -116,12 +115,11 @@ class DefocusWidget(DefocusPanel):
         self.settings.show_more(True)
         self.restore_button.clicked.connect(self.restore)
         self.depth_button.clicked.connect(self.estimate_depth)
-        self.depth.thin_lens.read_button.clicked.connect(lambda _: self.read_lens())
+        self.depth.attach(self)
         self.image.changed.connect(lambda layer: self._on_image(layer))
         self._on_image(self.image.value)
 
     def _on_image(self, layer: Image | None) -> None:
-        self.depth.offer_file(layer)
         self.planes.visible = layer is not None and layer.ndim > 2
         self.tools.refresh()
 
@@ -147,18 +145,12 @@ class DefocusWidget(DefocusPanel):
         """Start to tell distances, and return the run; None if it cannot be done."""
         return self._run_job(self._distances, self.depth_button.text)
 
-    def read_lens(self) -> None:
-        """Fill in what the photograph's file notes about its lens."""
-        description = self.depth.read_lens(self._shown_plane)
-        if description is not None:
-            self.status.value = description
-
     def _distances(self) -> Distances:
-        plane = self._shown_plane()
+        plane = self.shown_plane()
         return self.depth.distances(plane, self._source(plane))
 
     def _restoration(self) -> Restoration:
-        settings, plane = self.settings, self._shown_plane()
+        settings, plane = self.settings, self.shown_plane()
         noise = None if settings.shot_noise.value else settings.given_noise_variance()
         linearize: Linearize | None = "srgb" if settings.linear_light.value else None
         return self.restoration.restoration(plane, self._source(plane), noise, linearize)

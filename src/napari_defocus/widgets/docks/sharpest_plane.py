@@ -139,7 +139,7 @@ class SharpestPlaneWidget(ImagePanel):
         ValueError
             If a field holds no valid value.
         """
-        plane = self._shown_plane()
+        plane = self.shown_plane()
         self.along.reset_choices()
         if self.along.value is None:
             raise NotAnalysableError(CHANNELS_ONLY if self._long_sliders() else NO_PLANES)

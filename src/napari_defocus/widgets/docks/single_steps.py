@@ -46,7 +46,7 @@ class AllInFocusWidget(FromMapPanel):
 
     def work(self) -> Restoration:
         """Return what the form asks for now, see `FromMapPanel.work`."""
-        plane = self._shown_plane()
+        plane = self.shown_plane()
         linearize: Linearize | None = "srgb" if self.settings.linear_light.value else None
         return self.restoration.restoration(
             plane, self.source(plane), self.noise_variance(), linearize
@@ -60,18 +60,9 @@ class DepthWidget(FromMapPanel):
         super().__init__(napari_viewer, action="Estimate depth")
         self.depth = DepthForm()
         self._finish_form(self.depth.fields())
-        self.depth.wrap_note()
-        self.depth.thin_lens.read_button.clicked.connect(lambda _: self.read_lens())
-        self.image.changed.connect(lambda layer: self.depth.offer_file(layer))
-        self.depth.offer_file(self.image.value)
-
-    def read_lens(self) -> None:
-        """Fill in what the photograph's file notes about its lens."""
-        description = self.depth.read_lens(self._shown_plane)
-        if description is not None:
-            self.status.value = description
+        self.depth.attach(self)
 
     def work(self) -> Distances:
         """Return what the form asks for now, see `FromMapPanel.work`."""
-        plane = self._shown_plane()
+        plane = self.shown_plane()
         return self.depth.distances(plane, self.source(plane))

@@ -207,7 +207,7 @@ class Tools:
         if panel._running is not None:
             show_info("Something runs already. Wait for it, or cancel it.")
             return None
-        return panel._start(work, take, [panel._shown_plane()], "")
+        return panel._start(work, take, [panel.shown_plane()], "")
 
     def save_blur_map(self, path: Path | None = None, *, force: bool = False) -> None:
         """Save the newest blur map of the chosen image; a dialog asks for the file.

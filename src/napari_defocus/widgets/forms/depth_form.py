@@ -1,6 +1,5 @@
 """What distances need beside a blur map, as fields."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +7,7 @@ from magicgui.widgets import CheckBox, FloatSpinBox, Widget
 from napari.utils.notifications import show_warning
 
 from napari_defocus.settings import CONFIDENT
+from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.run_panel import wrap
 from napari_defocus.widgets.forms.side_field import side_field, side_note
 from napari_defocus.widgets.forms.thin_lens_form import ThinLensForm
@@ -43,7 +43,7 @@ class DepthForm:
         )
 
     def fields(self) -> list[Widget]:
-        """Return the fields, from top to bottom; see `wrap_note`."""
+        """Return the fields, from top to bottom; see `attach`."""
         return [
             *self.thin_lens.fields(),
             self.side,
@@ -52,39 +52,30 @@ class DepthForm:
             self.surface,
         ]
 
-    def wrap_note(self) -> None:
-        """Let the note have several lines; once it is in a form."""
+    def attach(self, panel: ImagePanel) -> None:
+        """Follow the image of a panel; once the fields are in its form."""
         wrap(self.side_note)
+        self.thin_lens.read_button.clicked.connect(lambda _: self._read_lens(panel))
+        panel.image.changed.connect(lambda image: self._offer_file(image))
+        self._offer_file(panel.image.value)
 
-    def offer_file(self, image: Any) -> None:
+    def _offer_file(self, image: Any) -> None:
         """Fill in the file that an image layer came from, unless another one was chosen."""
         path = getattr(getattr(image, "source", None), "path", None)
         if self.thin_lens.file.value in (None, self._offered):
             self.thin_lens.file.value = None if path is None else Path(path)
             self._offered = self.thin_lens.file.value
 
-    def read_lens(self, shown_plane: Callable[[], Plane]) -> str | None:
-        """Fill in what the photograph's file notes about its lens, and return what it does.
-
-        Parameters
-        ----------
-        shown_plane : callable
-            Returns the plane that is shown, of whose size the photograph should be.
-
-        Returns
-        -------
-        str or None
-            None, and a warning, if the file cannot be read.
-        """
+    def _read_lens(self, panel: ImagePanel) -> None:
+        """Fill in what the photograph's file notes about its lens."""
         try:
-            size = shown_plane().whole_shape
+            size = panel.shown_plane().whole_shape
         except NotAnalysableError:
             size = None
         try:
-            return self.thin_lens.read(size)
+            panel.status.value = self.thin_lens.read(size)
         except ValueError as reason:
             show_warning(str(reason))
-            return None
 
     def distances(self, plane: Plane, source: MapSource) -> Distances:
         """Return what the fields ask for.

@@ -80,7 +80,14 @@ class ImagePanel(RunPanel):
         measured = [layer for layer in self._viewer.layers if made_by_us(layer) == MEASURED_PSF]
         return measured[-1].metadata[METADATA_KEY]["file"] if measured else ""
 
-    def _shown_plane(self) -> Plane:
+    def shown_plane(self) -> Plane:
+        """Return the part of the chosen image's plane that the form and the viewer choose.
+
+        Raises
+        ------
+        NotAnalysableError
+            If there is no image, or it shows no such plane.
+        """
         if self.image.value is None:
             raise NotAnalysableError("there is no image.")
         return self.region.part_of(shown_plane(self.image.value, self._viewer.dims))

@@ -156,7 +156,7 @@ class DefocusPanel(ImagePanel):
         ValueError
             If a field holds no valid value, or the seeds do not fit the plane.
         """
-        plane = self._shown_plane()
+        plane = self.shown_plane()
         return Analysis(
             plane=plane,
             estimation=self.settings.map_settings(),
@@ -174,7 +174,7 @@ class DefocusPanel(ImagePanel):
         NotAnalysableError, ValueError
             As `analysis`, and if there is no room for the results.
         """
-        plane = self._shown_plane()
+        plane = self.shown_plane()
         wanted: dict[str, Any] = {
             "plane": plane,
             "estimation": self.settings.map_settings(),
@@ -195,14 +195,14 @@ class DefocusPanel(ImagePanel):
     def _is_large(self) -> bool:
         """Whether the plane that is chosen now is too large for memory."""
         try:
-            return is_large(self._shown_plane())
+            return is_large(self.shown_plane())
         except NotAnalysableError:
             return False
 
     def _show_keep_in(self) -> None:
         """Ask for a folder only where results are kept on the disk."""
         try:
-            plane = self._shown_plane()
+            plane = self.shown_plane()
         except NotAnalysableError:
             self.keep_in.visible = False
             return

@@ -24,10 +24,10 @@ from napari_defocus.widgets.jobs.estimation import (
     same_candidates,
     segmented,
 )
+from napari_defocus.widgets.jobs.map_source import layers_of_map
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
-    confidence_layer,
     in_focus_layer,
 )
 from napari_defocus.widgets.layers.result_metadata import (
@@ -167,14 +167,7 @@ class Analysis(Wanted):
         self, analysed: Analysed, cache: JobCache, progress: Progress
     ) -> list[LayerDataTuple]:
         found = estimated_map(analysed.picture, self.estimation, cache, progress)
-        used = self.estimation, found.noise_variance
-        # Copies: what somebody paints on a layer is not kept.
-        more = found.psf, found.intensities
-        layers = [blur_map_layer(self.plane, found.values.copy(), *used, *more)]
-        if self.confidence:
-            confidence = self.plane.counted(found.confidence)
-            layers.append(confidence_layer(self.plane, confidence, *used, found.intensities))
-        return layers
+        return layers_of_map(self.plane, self.estimation, found)[: 1 + self.confidence]
 
     def _mask_layers(
         self, analysed: Analysed, cache: JobCache, progress: Progress

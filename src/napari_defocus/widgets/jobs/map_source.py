@@ -21,6 +21,7 @@ from napari_defocus.psf.text import psf_of
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.jobs.estimation import (
     LARGEST_RADIUS,
+    EstimatedMap,
     JobCache,
     Picture,
     estimated_map,
@@ -121,26 +122,34 @@ class EstimatedSource:
     def read(self, picture: Picture, cache: JobCache, progress: Progress) -> BlurMap:
         """Return the blur map of a picture, that of an earlier run if nothing has changed."""
         found = estimated_map(picture, self.settings, cache, progress)
-        made_with = self.settings, found.noise_variance
-        # Copies: what somebody paints on a layer is not kept.
-        more = found.psf, found.intensities
-        shown = blur_map_layer(picture.plane, found.values.copy(), *made_with, *more)
-        confidence = picture.plane.counted(found.confidence)
+        layers = layers_of_map(picture.plane, self.settings, found)
         # What was asked for is not the map: its colour bar would stand before the result.
-        shown[1]["visible"] = False
-        sure = confidence_layer(picture.plane, confidence.copy(), *made_with, found.intensities)
+        layers[0][1]["visible"] = False
         return BlurMap(
-            name=shown[1]["name"],
+            name=layers[0][1]["name"],
             values=found.values,
             psf=found.psf,
-            confidence=confidence,
+            confidence=picture.plane.counted(found.confidence),
             safe=found.safe,
-            layers=[shown, sure],
+            layers=layers,
         )
 
     def described(self) -> dict[str, Any]:
         """Return what metadata say about it."""
         return asdict(self.settings)
+
+
+def layers_of_map(plane: Plane, settings: MapSettings, found: EstimatedMap) -> list[LayerDataTuple]:
+    """Return the layers of a map and of its confidence.
+
+    They hold copies: what somebody paints on a layer is not cached.
+    """
+    made_with = settings, found.noise_variance
+    sure, intensities = plane.counted(found.confidence), found.intensities
+    return [
+        blur_map_layer(plane, found.values.copy(), *made_with, found.psf, intensities),
+        confidence_layer(plane, sure, *made_with, intensities),
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
