@@ -11,7 +11,7 @@ from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
 from napari_defocus.widgets.jobs import focus_stacking as best_focus
 from napari_defocus.widgets.jobs.estimation import JobCache
-from napari_defocus.widgets.jobs.focus_stacking import BestFocus
+from napari_defocus.widgets.jobs.focus_stacking import FocusStacking
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, shown_plane
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
@@ -36,7 +36,7 @@ def _here(monkeypatch):
 
 
 def found_of(viewer, layer, axis, progress=lambda step, done: None):
-    wanted = BestFocus(
+    wanted = FocusStacking(
         plane=shown_plane(layer, viewer.dims), axis=axis, settings=MapSettings(), px_per_plane=1.0
     )
     return wanted.run(JobCache(), progress)

@@ -97,7 +97,7 @@ def test_window_fits_with_every_widget_and_every_pair_of_them_as_tabs(small):
 
 
 def test_window_fits_with_all_fields_of_each_widget_and_those_below_roll_into_sight(small):
-    rolled = {}
+    scrolling = {}
     for name, made in widget_classes().items():
         widget = made(small)
         docked = dock(small, widget, name)
@@ -107,14 +107,14 @@ def test_window_fits_with_all_fields_of_each_widget_and_those_below_roll_into_si
         form = docked.widget().findChild(QScrollArea, options=Qt.FindDirectChildrenOnly)
         if form is not None:
             assert form.viewport().width() >= form.widget().minimumSizeHint().width(), name
-            rolled[name] = form.verticalScrollBar().maximum() > 0
+            scrolling[name] = form.verticalScrollBar().maximum() > 0
             button = widget.run_button.native
             form.ensureWidgetVisible(button)
             settle()
             assert button.visibleRegion().boundingRect() == button.rect(), name
         undock(small, docked)
-    assert rolled["Depth"], "or the test rolls nothing"
-    assert not rolled["Calibrate a lens"], "there is room for all of it"
+    assert scrolling["Depth"], "or the test rolls nothing"
+    assert not scrolling["Calibrate a lens"], "there is room for all of it"
 
 
 def test_fields_of_a_short_form_lie_together_at_its_top(small):

@@ -8,9 +8,9 @@ from napari.layers import Image
 
 from napari_defocus.core.checks import Linearize
 from napari_defocus.widgets.docks.tools import Tools
+from napari_defocus.widgets.forms.defocus_panel import DefocusPanel
 from napari_defocus.widgets.forms.depth_form import DepthForm
 from napari_defocus.widgets.forms.pages import Pages
-from napari_defocus.widgets.forms.panel import DefocusPanel
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.distances import Distances
@@ -45,7 +45,7 @@ class DefocusWidget(DefocusPanel):
     restore_button, depth_button : magicgui.widgets.PushButton
     """
 
-    ROLLED = False  # its pages are, so that its buttons stay in sight
+    SCROLLS = False  # its pages are, so that its buttons stay in sight
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         self.pages = Pages()

@@ -11,10 +11,10 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QFileDialog
 
 from napari_defocus import FocusCurve
-from napari_defocus.widgets.display.focus_stack import curve_along, shown_planes, sliders_of
+from napari_defocus.widgets.display.blur_map_stack import curve_along, shown_planes, sliders_of
 from napari_defocus.widgets.export.map_files import saving_failure
-from napari_defocus.widgets.forms.curve_form import CurveForm
-from napari_defocus.widgets.forms.curve_plot import CurvePlot
+from napari_defocus.widgets.forms.focus_curve_form import FocusCurveForm
+from napari_defocus.widgets.forms.focus_curve_plot import FocusCurvePlot
 from napari_defocus.widgets.forms.run_panel import RunPanel
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.layers.image_layers import move_slider, plane_at
@@ -34,9 +34,9 @@ class FocusCurveWidget(RunPanel):
 
     Attributes
     ----------
-    form : CurveForm
+    form : FocusCurveForm
         The stack, what is in focus in it, and which of its sliders the curve runs along.
-    plot : CurvePlot
+    plot : FocusCurvePlot
     best_button, save_button : magicgui.widgets.PushButton
     curve : FocusCurve or None
         Of the whole stack; None as long as none was read.
@@ -48,7 +48,7 @@ class FocusCurveWidget(RunPanel):
         self._again = False
         self._followed: list[Layer] = []
         self._soon = QTimer(self.native)
-        self.form = CurveForm(
+        self.form = FocusCurveForm(
             napari_viewer, read=lambda: self._soon.start(), draw=lambda: self._draw()
         )
         self.best_button = PushButton(
@@ -64,7 +64,7 @@ class FocusCurveWidget(RunPanel):
         )
         fields = self.form.fields()
         self._finish_form([*fields, self.best_button, self.save_button])
-        self.plot = CurvePlot(napari_viewer.theme)
+        self.plot = FocusCurvePlot(napari_viewer.theme)
         self.rows.insertWidget(len(fields), self.plot, 1)
         self._wire()
 

@@ -18,8 +18,8 @@ from napari_defocus.widgets.display.probing import (
     probed,
 )
 from napari_defocus.widgets.display.window_outline import WindowOutline
-from napari_defocus.widgets.forms.curve_canvas import CurveCanvas
 from napari_defocus.widgets.forms.image_panel import ImagePanel
+from napari_defocus.widgets.forms.likelihood_canvas import LikelihoodCanvas
 from napari_defocus.widgets.forms.qt_lifetime import when_destroyed
 from napari_defocus.widgets.forms.run_panel import wrap
 from napari_defocus.widgets.forms.tabs import become_a_tab
@@ -81,7 +81,7 @@ class ProbeWidget(Container[Widget]):
         self.text = Label(name="text", label=" ", value="")
         super().__init__()
         self.extend([self.image, self.follow, self.outlined, self.text])
-        self._curve = CurveCanvas(on_shown=lambda: self.start(), on_hidden=lambda: self.stop())
+        self._curve = LikelihoodCanvas(on_shown=lambda: self.start(), on_hidden=lambda: self.stop())
         self.native.layout().insertWidget(len(self) - 1, self._curve, 1)
         self._make_room_for_text()
         self._timer = QTimer(self.native)

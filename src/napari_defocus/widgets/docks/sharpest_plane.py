@@ -12,7 +12,7 @@ from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.settings_form import SettingsForm, automatic_field, number_or_none
 from napari_defocus.widgets.forms.slider_number import SliderNumber
 from napari_defocus.widgets.forms.workers import Run
-from napari_defocus.widgets.jobs.focus_stacking import CHANNELS_ONLY, NO_PLANES, BestFocus
+from napari_defocus.widgets.jobs.focus_stacking import CHANNELS_ONLY, NO_PLANES, FocusStacking
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, finest
 from napari_defocus.widgets.layers.preferences import preferred_settings
 from napari_defocus.widgets.layers.result_metadata import Results
@@ -129,7 +129,7 @@ class SharpestPlaneWidget(ImagePanel):
         self._viewer.dims.events.point.disconnect(self._follow_sliders)
         self._viewer.dims.events.order.disconnect(self._on_order)
 
-    def wanted(self) -> BestFocus:
+    def wanted(self) -> FocusStacking:
         """Return what the form asks for now.
 
         Raises
@@ -143,7 +143,7 @@ class SharpestPlaneWidget(ImagePanel):
         self.along.reset_choices()
         if self.along.value is None:
             raise NotAnalysableError(CHANNELS_ONLY if self._long_sliders() else NO_PLANES)
-        return BestFocus(
+        return FocusStacking(
             plane=plane,
             axis=self.along.value,
             settings=self.settings.map_settings(),

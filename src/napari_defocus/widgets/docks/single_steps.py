@@ -4,9 +4,9 @@ from magicgui.widgets import Widget
 from napari.components import ViewerModel
 
 from napari_defocus.core.checks import Linearize
+from napari_defocus.widgets.forms.defocus_panel import DefocusPanel
 from napari_defocus.widgets.forms.depth_form import DepthForm
 from napari_defocus.widgets.forms.from_map_panel import FromMapPanel
-from napari_defocus.widgets.forms.panel import DefocusPanel
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
 from napari_defocus.widgets.jobs.distances import Distances
 from napari_defocus.widgets.jobs.restoration import Restoration

@@ -18,7 +18,7 @@ from napari_defocus.widgets.display.view_state import view_state
 from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
 from napari_defocus.widgets.export.map_files import TIFF_ENDINGS, open_map, save_map, saving_failure
 from napari_defocus.widgets.export.script import script_of
-from napari_defocus.widgets.forms.panel import DefocusPanel
+from napari_defocus.widgets.forms.defocus_panel import DefocusPanel
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,

@@ -7,7 +7,7 @@ from qtpy.QtWidgets import QFrame, QScrollArea, QTabWidget, QWidget
 from napari_defocus.widgets.forms.run_panel import widen_labels
 
 WIDTH = 400
-"""In px, of a page: room for the widest field, and a bar to roll it."""
+"""In px, of a page: room for the widest field, and a bar to scroll it."""
 
 
 class Pages:
@@ -28,9 +28,9 @@ class Pages:
         native: QWidget = page.native
         widen_labels(native)
         native.layout().addStretch(1)
-        rolled = _Rolled()
-        rolled.setWidget(native)
-        number = self.native.addTab(rolled, title)
+        scrolling = _ScrollingPage()
+        scrolling.setWidget(native)
+        number = self.native.addTab(scrolling, title)
         self.native.setTabToolTip(number, tooltip)
         self._pages.append(page)
 
@@ -45,7 +45,7 @@ class Pages:
             page.reset_choices()
 
 
-class _Rolled(QScrollArea):
+class _ScrollingPage(QScrollArea):
     """A page no wider than it must be, and no higher: the dock has to fit into small windows."""
 
     def __init__(self) -> None:

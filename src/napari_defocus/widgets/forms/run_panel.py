@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QBoxLayout, QLabel, QSizePolicy, QWidget
 
 from napari_defocus.core.worker_process import end_idle
 from napari_defocus.widgets.forms.qt_lifetime import when_destroyed
-from napari_defocus.widgets.forms.rolled import roll
+from napari_defocus.widgets.forms.scrolling import make_scrolling
 from napari_defocus.widgets.forms.tabs import become_a_tab
 from napari_defocus.widgets.forms.workers import STEPS, Run
 from napari_defocus.widgets.layers.image_layers import Plane
@@ -44,8 +44,8 @@ class RunPanel(Container[Widget]):
         What the form's rows lie in.
     """
 
-    ROLLED: ClassVar[bool] = True
-    """Whether the form is rolled where there is no room for all of it."""
+    SCROLLS: ClassVar[bool] = True
+    """Whether the form scrolls where there is no room for all of it."""
 
     def __init__(self, napari_viewer: ViewerModel, *, action: str) -> None:
         self._viewer = napari_viewer
@@ -75,8 +75,8 @@ class RunPanel(Container[Widget]):
         wrap(self.status)
         widen_labels(self.native)
         self.rows: QBoxLayout = self.native.layout()
-        if self.ROLLED:
-            roll(self.native)
+        if self.SCROLLS:
+            make_scrolling(self.native)
         become_a_tab(self.native)
         when_destroyed(self.native, self, lambda panel: panel._on_closed())
 

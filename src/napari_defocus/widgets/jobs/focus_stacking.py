@@ -42,7 +42,7 @@ CHANNELS_ONLY = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class BestFocus:
+class FocusStacking:
     """Where each pixel of a stack is in focus, and a picture of the sharpest pixels.
 
     Attributes
@@ -67,7 +67,8 @@ class BestFocus:
     >>> from napari_defocus.widgets.display.add_results import add_results
     >>> viewer = ViewerModel()
     >>> stack = viewer.add_image(np.random.default_rng(0).random((3, 60, 70)), name="sweep")
-    >>> wanted = BestFocus(plane=shown_plane(stack, viewer.dims), axis=0, settings=MapSettings())
+    >>> plane = shown_plane(stack, viewer.dims)
+    >>> wanted = FocusStacking(plane=plane, axis=0, settings=MapSettings())
     >>> [layer.name for layer in add_results(viewer, wanted.run(JobCache()).layers)]
     ['sweep sharpest', 'sweep best focus (plane)', 'sweep best focus confidence']
     """

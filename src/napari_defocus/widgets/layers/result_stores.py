@@ -188,11 +188,11 @@ class _Store:
 @cache
 def _own_folder() -> Path:
     folder = tempfile.TemporaryDirectory(prefix="napari-defocus-", ignore_cleanup_errors=True)
-    _kept.append(folder)
+    _temporary_folders.append(folder)
     return Path(folder.name)
 
 
-_kept: list[tempfile.TemporaryDirectory[str]] = []
+_temporary_folders: list[tempfile.TemporaryDirectory[str]] = []
 """Removed when Python ends."""
 
 

@@ -18,7 +18,7 @@ from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.display.add_results import add_results, add_results_stepwise
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.lens_comparison import LensComparison
-from napari_defocus.widgets.forms.live import LiveLabels
+from napari_defocus.widgets.forms.live_labels import LiveLabels
 from napari_defocus.widgets.forms.planes_field import PlanesField
 from napari_defocus.widgets.forms.result_fields import (
     keep_earlier_field,

@@ -24,7 +24,7 @@ _COLORED = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "y
 _FILLED = ("axes.facecolor", "figure.facecolor")
 
 
-class CurveCanvas(FigureCanvasQTAgg):
+class LikelihoodCanvas(FigureCanvasQTAgg):
     """Where the curve is drawn, in the colours of napari's theme.
 
     Axes and labels are drawn when they change; a curve is drawn on a copy of them, which is ten

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FocusStack:
+class BlurMapStack:
     """Blur maps of all planes, and what goes with them; nothing is read yet.
 
     Attributes
@@ -52,7 +52,7 @@ class FocusStack:
     @classmethod
     def of(
         cls, layer: Image, mask: Labels | None, confidence: Image | None, threshold: float
-    ) -> FocusStack:
+    ) -> BlurMapStack:
         """Return what layers of one shape hold, with the axes of the planes first."""
         axes = sliders_of(layer)
         stacks = (

@@ -1,13 +1,13 @@
-"""A form that is rolled where its dock is not as high as it is."""
+"""A form that scrolls where its dock is not as high as it is."""
 
 from qtpy.QtCore import QEvent, QSize, Qt
 from qtpy.QtWidgets import QFrame, QScrollArea, QVBoxLayout, QWidget
 
 LEAST_HEIGHT = 240
-"""In px, of a rolled form: a few fields, and what runs them."""
+"""In px, of a scrolling form: a few fields, and what runs them."""
 
 
-class Rolled(QScrollArea):
+class ScrollingForm(QScrollArea):
     """A form as wide as it must be, no higher than there is room: a window never has to grow."""
 
     def __init__(self, form: QWidget) -> None:
@@ -37,12 +37,12 @@ class Rolled(QScrollArea):
         return size + QSize(self.verticalScrollBar().sizeHint().width() + frame, frame)
 
 
-def roll(native: QWidget) -> None:
-    """Put all that lies in a widget into a form that is rolled inside of it."""
+def make_scrolling(native: QWidget) -> None:
+    """Put all that lies in a widget into a form that scrolls inside of it."""
     form = QWidget()
     layout = native.layout()
     form.setLayout(layout)
     layout.addStretch()
     outer = QVBoxLayout(native)
     outer.setContentsMargins(0, 0, 0, 0)
-    outer.addWidget(Rolled(form))
+    outer.addWidget(ScrollingForm(form))

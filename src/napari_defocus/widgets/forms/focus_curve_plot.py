@@ -27,7 +27,7 @@ every step of a slider draws."""
 _ALPHA_OF_FRAME = 0.4
 
 
-class CurvePlot(FigureCanvasQTAgg):
+class FocusCurvePlot(FigureCanvasQTAgg):
     """The share in focus and the median radius over the planes, and which plane is shown.
 
     Parameters

@@ -8,8 +8,8 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
 from napari_defocus.settings import MaskSettings
-from napari_defocus.widgets.display.focus_stack import (
-    FocusStack,
+from napari_defocus.widgets.display.blur_map_stack import (
+    BlurMapStack,
     confidence_of,
     mask_of,
     may_be_mask_of,
@@ -19,7 +19,7 @@ from napari_defocus.widgets.display.focus_stack import (
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, made_by_us
 
 
-class CurveForm:
+class FocusCurveForm:
     """The choice of a stack of blur maps, and what a curve of it shows.
 
     Parameters
@@ -138,7 +138,7 @@ class CurveForm:
         self.threshold.enabled = self.mask.value is None
         self._read()
 
-    def asked(self) -> tuple[FocusStack, list[Layer]] | None:
+    def asked(self) -> tuple[BlurMapStack, list[Layer]] | None:
         """Return what shall be read now, and the layers that it is in; None without a stack."""
         self.blur_maps.reset_choices()
         self.choose_usual()
@@ -148,4 +148,4 @@ class CurveForm:
             return None
         mask, confidence = self.mask.value, confidence_of(self._viewer, layer)
         used = [found for found in (layer, mask, confidence) if found is not None]
-        return FocusStack.of(layer, mask, confidence, self.threshold.value), used
+        return BlurMapStack.of(layer, mask, confidence, self.threshold.value), used
