@@ -26,6 +26,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     results_of,
     run_of,
     same_estimation,
+    scale_prefix,
 )
 
 _DESCRIBED = (BLUR_MAP, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
@@ -88,7 +89,8 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     _, mask = at.found(IN_FOCUS)
     words = []
     if blur_map is not None and scale is not None:
-        words.append(f"{_scale_name(blur_map)}{scale:.1f} px")
+        name = str(blur_map.metadata[METADATA_KEY].get("scale", Disc.scale_name))
+        words.append(f"{scale_prefix(name)}{scale:.1f} px")
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
         # Rounded up, it might read like one that is trusted.
@@ -160,12 +162,6 @@ class _Place:
 def _may_go_with(layer: Layer, other: Layer) -> bool:
     estimated = made_by_us(other) in (BLUR_MAP, CONFIDENCE, NOT_TRUSTED)
     return layer is other or not estimated or same_estimation(layer, other)
-
-
-def _scale_name(blur_map: Layer) -> str:
-    """Return what a map measures; nothing if it is a radius, as usual."""
-    name = str(blur_map.metadata[METADATA_KEY].get("scale", Disc.scale_name))
-    return "" if name.endswith("radius (px)") else name.removesuffix("(px)")
 
 
 def _on_status(event: Any) -> None:

@@ -32,6 +32,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     METADATA_KEY,
     PLACEMENT,
+    scale_prefix,
 )
 
 PATTERNS = (
@@ -275,6 +276,4 @@ def _usual_name(made: dict[str, Any], result: str) -> str:
     """Return what `result_layers` calls such a layer."""
     if result == CONFIDENCE:
         return f"{made['source']} {CONFIDENCE}"
-    scale = made.get("scale", "radius (px)")
-    what = "" if scale.endswith("radius (px)") else scale.removesuffix("(px)")
-    return f"{made['source']} blur {what}(px)"
+    return f"{made['source']} blur {scale_prefix(made.get('scale', 'radius (px)'))}(px)"

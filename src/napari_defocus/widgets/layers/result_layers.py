@@ -29,6 +29,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     PLACEMENT,
     STORE,
     result_layer,
+    scale_prefix,
 )
 
 COLOR_MAP = "viridis"
@@ -72,11 +73,10 @@ def blur_map_layer(
         What the variance is measured in.
     """
     psf = psf or settings.family()
-    what = "" if psf.scale_name.endswith("radius (px)") else psf.scale_name.removesuffix("(px)")
     return result_layer(
         *(plane, BLUR_MAP, blur_map, asdict(settings)),
         _noise(noise_variance, intensities) | {"scale": psf.scale_name},
-        name=f"blur {what}(px)",
+        name=f"blur {scale_prefix(psf.scale_name)}(px)",
         colormap=COLOR_MAP,
         contrast_limits=(0.0, float(psf.max_scale)),
     )

@@ -149,6 +149,11 @@ def noise_description(given: float | None, variances: Collection[float]) -> str:
     return f"Noise variance {span} ({'found' if given is None else 'given'})"
 
 
+def scale_prefix(scale_name: str) -> str:
+    """Return what a map measures, to be put before "(px)"; nothing if it is a radius, as usual."""
+    return "" if scale_name.endswith("radius (px)") else scale_name.removesuffix("(px)")
+
+
 def confidence_description(share: float) -> str:
     """Return a line that says on what share of the pixels the confidence is high."""
     return f"Confidence {CONFIDENT:g} or more on {share:.0%}"
