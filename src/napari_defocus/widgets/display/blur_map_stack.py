@@ -134,21 +134,9 @@ def shown_planes(layer: Image, dims: Dims) -> tuple[int, ...]:
 
 
 def curve_along(curve: FocusCurve, layer: Image, dims: Dims, slider: int) -> FocusCurve | None:
-    """Return the part of a stack's curve along one slider, where the others stand.
+    """Return the part of a stack's curve along one of `sliders_of`, where the others stand.
 
-    Parameters
-    ----------
-    curve : FocusCurve
-        Of the whole stack.
-    layer : napari.layers.Image
-    dims : napari.components.Dims
-    slider : int
-        Which one of `sliders_of`.
-
-    Returns
-    -------
-    FocusCurve or None
-        Of one axis, without the confidence; None if the stack has got another shape since.
+    It has one axis and no confidence; it is None if the stack has got another shape since.
     """
     from napari_defocus import FocusCurve
 

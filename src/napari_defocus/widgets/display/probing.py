@@ -56,16 +56,7 @@ class Probed:
 def probed(
     viewer: ViewerModel, layer: Image | None, position: tuple[float, ...], cache: JobCache
 ) -> Probed:
-    """Tell what is known of an image layer at a place; nothing is estimated for it.
-
-    Parameters
-    ----------
-    viewer : napari.components.ViewerModel or napari.Viewer
-    layer : napari.layers.Image or None
-    position : tuple of float
-        World coordinates, as those of mouse events.
-    cache : JobCache
-        What runs have found.
+    """Tell what is known of an image layer at a place in the world; nothing is estimated for it.
 
     Raises
     ------
@@ -115,15 +106,8 @@ def pixel_at(
 ) -> tuple[int, int]:
     """Return the row and the column of a plane's pixel at world coordinates.
 
-    Parameters
-    ----------
-    layer : napari.layers.Image
-    index : tuple of int or slice
-        What picks the plane out of the layer's data, an entry an axis.
-    shape : (int, int)
-        Height and width of the plane, in px.
-    position : tuple of float
-        World coordinates; those of the last axes count, if the layer has fewer.
+    Those of the last axes count, if the layer has fewer. The index picks the plane out of the
+    layer's data, and the shape is its height and width.
 
     Raises
     ------

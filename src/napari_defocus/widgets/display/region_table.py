@@ -52,12 +52,8 @@ def add_regions(viewer: ViewerModel, image: Image) -> Labels | None:
 
     The mask, the blur map and its confidence are those that our widgets have made of the image.
     Without a map the table has no radii, without a confidence it does not say how sure they are:
-    a message says so. The mask itself gets a table of two rows: blurred, and in focus.
-
-    Returns
-    -------
-    napari.layers.Labels or None
-        The layer of `regions_layer`; None, and a message, if there is no mask.
+    a message says so. The mask itself gets a table of two rows: blurred, and in focus. Without a
+    mask, a message says that, and nothing is added.
     """
     wanted = wanted_regions(viewer, image)
     if wanted is None:
@@ -134,17 +130,9 @@ def wanted_regions(viewer: ViewerModel, image: Image) -> WantedRegions | None:
 def regions_layer(
     plane: Plane, labels: NDArray[np.int32], table: RegionTable, mask: Layer
 ) -> LayerDataTuple:
-    """Return regions in focus as a labels layer that lies on the plane.
+    """Return regions in focus as a labels layer that lies on the plane that the mask was made from.
 
-    Parameters
-    ----------
-    plane : Plane
-        What the mask was made from.
-    labels : (H, W) int32 ndarray
-    table : RegionTable
-        Its columns become the features: napari finds the row of a label by ``index``.
-    mask : napari.layers.Layer
-        Whose regions they are; its metadata say what made it.
+    The table's columns become the features: napari finds the row of a label by ``index``.
     """
     settings = mask.metadata[METADATA_KEY].get("settings", {})
     return result_layer(

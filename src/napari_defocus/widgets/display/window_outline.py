@@ -46,18 +46,9 @@ class WindowOutline:
         self.layer: Shapes | None = None
 
     def show(self, image: Image, corners: NDArray[np.floating]) -> bool:
-        """Outline a window of an image instead of another one.
+        """Outline a window of an image instead of another one; False if napari cannot draw yet.
 
-        Parameters
-        ----------
-        image : napari.layers.Image
-        corners : (4, D) float ndarray
-            In the layer's data coordinates.
-
-        Returns
-        -------
-        bool
-            False if napari is not ready to draw yet; ask again then.
+        Ask again then. Corners are (4, D), in the layer's data coordinates.
         """
         if not self._ready():
             return False

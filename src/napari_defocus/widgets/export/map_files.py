@@ -90,25 +90,10 @@ def save_map(layer: Image, path: str | os.PathLike[str], *, force: bool = False)
 
 
 def write_maps(path: str, layers: Sequence[LayerTuple]) -> list[str]:
-    """Save a blur map or its confidence, as `save_map`: what the manifest names.
+    """Save a blur map or its confidence as `save_map`, for the manifest, and return its path.
 
-    napari's dialog has asked before it overwrites the file.
-
-    Parameters
-    ----------
-    path : str
-    layers : sequence of layer data tuples
-        The image layer, and no other.
-
-    Returns
-    -------
-    list of str
-        The file that was written; it may have got an ending.
-
-    Raises
-    ------
-    NotAMapError, OSError
-        As `save_map`.
+    It is the only layer, and its file may get an ending. napari's dialog has asked before it
+    overwrites the file.
     """
     if len(layers) != 1:
         raise NotAMapError("A blur map is saved on its own. Choose its layer only.")

@@ -31,21 +31,9 @@ def is_stored(layer: tuple[Any, dict[str, Any], str]) -> bool:
 
 
 def copy_store(layer: tuple[Any, dict[str, Any], str], path: Path, *, force: bool = False) -> Path:
-    """Copy the store of a result that is kept on the disk.
+    """Copy the store of a result that is kept on the disk, and return the copy, whole or not there.
 
-    Parameters
-    ----------
-    layer : layer data tuple
-        Its metadata say where the store is.
-    path : Path
-        A name without .zarr gets the ending .ome.zarr.
-    force : bool, optional
-        Whether a store that exists is replaced.
-
-    Returns
-    -------
-    Path
-        The copy, whole or not there at all.
+    A name without .zarr gets the ending .ome.zarr.
 
     Raises
     ------
@@ -78,23 +66,12 @@ def copy_store(layer: tuple[Any, dict[str, Any], str], path: Path, *, force: boo
 
 
 def write_store(path: str, layers: Sequence[tuple[Any, dict[str, Any], str]]) -> list[str]:
-    """Save one large result, as `copy_store`: what the manifest names.
-
-    Parameters
-    ----------
-    path : str
-    layers : sequence of layer data tuples
-        The layer, and no other.
-
-    Returns
-    -------
-    list of str
-        The store that was written.
+    """Save one large result as `copy_store`, for the manifest, and return its path.
 
     Raises
     ------
     NotAMapError, OSError
-        As `copy_store`, and if the layer is not kept on the disk.
+        As `copy_store`, and if the layer is not kept on the disk, or not the only one.
     """
     if len(layers) != 1:
         raise NotAMapError("A large result is saved on its own. Choose its layer only.")

@@ -39,12 +39,7 @@ class RegionField(ComboBox):
         ]
 
     def part_of(self, plane: Plane) -> Plane:
-        """Return the part of a plane that is chosen, or the plane itself.
-
-        Parameters
-        ----------
-        plane : Plane
-            What `shown_plane` returns now.
+        """Return the part of the shown plane that is chosen, or the plane itself.
 
         Raises
         ------

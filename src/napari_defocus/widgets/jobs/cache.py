@@ -45,16 +45,7 @@ class LayerCache(Generic[T]):
         key: Hashable,
         find: Callable[[], T],
     ) -> T:
-        """Return what was found of a layer if `key` is the same, else find it.
-
-        Parameters
-        ----------
-        layer : weak reference to napari.layers.Image
-        key : hashable
-            Everything that it depends on.
-        find : callable
-            Finds it, if it must be found.
-        """
+        """Return what was found of a layer if its key, all it depends on, is the same; else find it."""
         found = self.known(layer, key)
         if found is None:
             found = find()

@@ -215,19 +215,11 @@ class LayerSource:
 
 
 def source_of_layer(layer: Image, plane: Plane, viewer: ViewerModel, psf: str) -> LayerSource:
-    """Return the map that a layer holds for a plane that a viewer shows.
+    """Return the map that a layer holds for a plane that a viewer shows, or for a part of it.
 
-    Parameters
-    ----------
-    layer : napari.layers.Image
-        One channel, with the axes of the image, or of the plane alone.
-    plane : Plane
-        What `shown_plane` returns for the viewer's dimensions, or a part of it: of a map of the
-        whole plane, the same part is taken.
-    viewer : napari.components.ViewerModel or napari.Viewer
-        Where the map's confidence may be.
-    psf : str
-        The family whose scale the map is, if the layer does not say it.
+    The layer has one channel and the axes of the image, or of the plane alone; of a map of the
+    whole plane, the same part is taken. `psf` is the family whose scale the map is, if the layer
+    does not say it.
 
     Raises
     ------

@@ -13,22 +13,10 @@ from napari_defocus.widgets.layers.image_layers import Plane, corner, picture_ax
 def same_part(
     index: tuple[int | slice, ...], shape: tuple[int, ...], plane: Plane
 ) -> tuple[int | slice, ...]:
-    """Return an index into another layer's data, cut as a plane is cut.
+    """Return an index of a whole plane in another layer's data, cut as a plane is cut.
 
-    Parameters
-    ----------
-    index : tuple of int or slice
-        What picks a whole plane out of the other layer's data.
-    shape : tuple of int
-        Of these data.
-    plane : Plane
-        A whole one, or a part.
-
-    Returns
-    -------
-    tuple of int or slice
-        `index` itself if the other layer has not the height and width of the whole plane: it
-        may be as large as the part.
+    It is `index` itself if the other layer has not the height and width of the whole plane: it may
+    be as large as the part.
     """
     if sizes_at(index, shape) != plane.whole_shape:
         return index
@@ -37,15 +25,9 @@ def same_part(
 
 
 def lies_on(layer: Layer, index: tuple[int | slice, ...], plane: Plane) -> bool:
-    """Tell whether a layer's corners are where the plane's are, to half a pixel.
+    """Tell whether a layer's corners, at an index of its data, are where a plane's are.
 
-    Parameters
-    ----------
-    layer : napari.layers.Layer
-        As high and wide, at `index`, as the plane.
-    index : tuple of int or slice
-        What picks its plane out of its data.
-    plane : Plane
+    To half a pixel; the layer is as high and wide there as the plane.
     """
     image = plane.layer()
     if image is None:

@@ -147,16 +147,9 @@ class Plane:
         inside: NDArray[np.bool_] | None = None,
         region: str = "",
     ) -> Self:
-        """Return a part of the plane that it belongs to.
+        """Return a part of the plane that it belongs to, see `Plane`.
 
-        Parameters
-        ----------
-        rows, columns : slice
-            In px of the whole plane, with start and stop.
-        inside : (H, W) bool ndarray, optional
-            Which pixels of the part count.
-        region : str, optional
-            What chose it, in words.
+        Rows and columns are those of the whole plane, with start and stop.
         """
         cuts = iter((rows, columns))
         index = tuple(at if isinstance(at, int) else next(cuts) for at in self.index)
@@ -199,12 +192,7 @@ def check_pixels(shape: tuple[int, int]) -> None:
 def shown_plane(layer: Image, dims: Dims) -> Plane:
     """Return the plane of an image layer that a viewer shows.
 
-    Parameters
-    ----------
-    layer : napari.layers.Image
-        Grey, RGB or RGBA; one picture, a stack, several scales, dask.
-    dims : napari.components.Dims
-        The viewer's dimensions: which are displayed, and where its sliders are.
+    It may be grey, RGB or RGBA; one picture, a stack, several scales, dask.
 
     Raises
     ------

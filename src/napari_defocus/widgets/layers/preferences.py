@@ -47,12 +47,7 @@ def preferred_settings() -> Settings:
 
     A value that cannot be, because somebody has edited the file or a measured lens is gone, has
     its default, and a warning says so. The threshold follows the lens, as in the forms, unless
-    Preferences say another one.
-
-    Returns
-    -------
-    Settings
-        All defaults where napari does not know the plugin.
+    Preferences say another one. Where napari does not know the plugin, all are defaults.
     """
     explicit = _explicit()
     estimation = _possible(MapSettings(), explicit.get("map", {}))

@@ -112,16 +112,10 @@ def in_levels(layer: LayerDataTuple, levels: list[Any]) -> LayerDataTuple:
 
 
 def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> LayerDataTuple:
-    """Return what lies below a confidence as a labels layer: 1 there, 0 elsewhere.
+    """Return what lies below a confidence, in [0, 1], as a labels layer: 1 there, 0 elsewhere.
 
-    It lies over the map like fog: what the map says there can still be read.
-
-    Parameters
-    ----------
-    confidence : LayerDataTuple
-        From `confidence_layer`, or of the layer that was made of it.
-    min_confidence : float
-        In [0, 1].
+    It is made of what `confidence_layer` returns, or of the layer that was made of that. It lies
+    over the map like fog: what the map says there can still be read.
     """
     data, made_with, _ = confidence
     levels = list(data) if made_with.get("multiscale") else [data]
@@ -195,18 +189,8 @@ def fixed_colors(color_of: dict[int, tuple[float, ...]]) -> DirectLabelColormap:
 def kernels_layer(lens: MeasuredPSF, file: str, picture: Plane) -> LayerDataTuple:
     """Return measured kernels as a stack, one plane a setting, brightest pixel 1 in each.
 
-    Parameters
-    ----------
-    lens : MeasuredPSF
-    file : str
-        Where it was saved.
-    picture : Plane
-        One of those that it was measured from, whose pixels are as large.
-
-    Returns
-    -------
-    LayerDataTuple
-        Its metadata have the scales, in px, and the file.
+    Its pixels are as large as those of a picture that the lens was measured from. Its metadata
+    have the scales, in px, and the file in which the lens is.
     """
     kernels = lens.kernels / lens.kernels.max(axis=(1, 2), keepdims=True)
     made = {

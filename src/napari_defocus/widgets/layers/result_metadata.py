@@ -72,18 +72,7 @@ class Results:
 
 
 def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any) -> dict[str, Any]:
-    """Return the metadata of a result: what it is, of which layer, and what made it.
-
-    Parameters
-    ----------
-    plane : Plane
-        What it was made from.
-    result : str
-        One of the names above.
-    settings : dict
-    **more
-        What else is worth knowing.
-    """
+    """Return the metadata of a result: what it is, of which plane, what made it, and more."""
     made = {
         "version": __version__,
         "result": result,
@@ -130,14 +119,7 @@ def result_layer(
 
 
 def noise_description(given: float | None, variances: Collection[float]) -> str:
-    """Return a line that says the noise variance of planes, and where it comes from.
-
-    Parameters
-    ----------
-    given : float or None
-        The user's; None if it was found.
-    variances : collection of float
-        Of each plane.
+    """Return a line that says the noise variance of planes, and whether the user has given it.
 
     Examples
     --------

@@ -61,19 +61,7 @@ class Place:
     ) -> OmeZarrWriter:
         """Begin a store for a result, under a name that is free: nothing is replaced.
 
-        Parameters
-        ----------
-        result : str
-            What it holds, see `results`.
-        plane : Plane
-            What it is of.
-        axes : dict of str to int
-            A letter each axis of the store, and which axis of the plane's layer it is.
-        shape : tuple of int
-        dtype : dtype-like
-        estimation : MapSettings
-        mask : MaskSettings or None
-            What makes it, the latter if it is a mask.
+        `axes` says by a letter each axis of the store which axis of the plane's layer it is.
 
         Raises
         ------
@@ -137,15 +125,12 @@ class Place:
     def layer(
         self, layer: LayerDataTuple, store: Path, axes: str, plane: Plane | None = None
     ) -> LayerDataTuple:
-        """Return a layer that reads a store, instead of its data.
+        """Return a layer that reads a finished store, instead of its data.
 
         Parameters
         ----------
-        layer : LayerDataTuple
-        store : Path
-            A finished one.
         axes : str
-            The letters of its axes in the order of the layer's.
+            The letters of the store's axes in the order of the layer's.
         plane : Plane, optional
             Which plane of a stack it lies on, if it has no axes of planes.
         """
@@ -232,19 +217,13 @@ def whole_or_gone(writers: Mapping[str, OmeZarrWriter]) -> Iterator[None]:
 def letters_of(axis_labels: tuple[str, ...], planes: list[int], ndim: int) -> str:
     """Return a letter for each axis of a layer, as stores name them: t, c, z for planes, y, x.
 
-    Parameters
-    ----------
-    axis_labels : tuple of str
-        Of the layer; letters are taken from them where they fit.
-    planes : list of int
-        Which of its axes are no rows and no columns; up to three.
-    ndim : int
-        Of the layer.
+    `planes` are those of its axes that are no rows and no columns. Their letters are taken from
+    the labels where they fit.
 
     Raises
     ------
     NotAnalysableError
-        If there are more planes' axes than a store has.
+        If there are more of them than a store has.
     """
     if len(planes) > len(_PLANE_LETTERS):
         raise NotAnalysableError(

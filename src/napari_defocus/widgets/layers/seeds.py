@@ -79,16 +79,10 @@ class SeedsWatch:
 
 
 def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
-    """Return what a labels layer says about a plane that a viewer shows.
+    """Return what a labels layer says about a plane that a viewer shows, or a part of it.
 
-    Parameters
-    ----------
-    layer : napari.layers.Labels
-        With the axes of the image, or of the plane alone. Of seeds of the whole plane, a part
-        takes its own.
-    plane : Plane
-        What `shown_plane` returns for the same dimensions, or a part of it.
-    dims : napari.components.Dims
+    The layer has the axes of the image, or of the plane alone. Of seeds of the whole plane, a part
+    takes its own.
 
     Raises
     ------
@@ -103,11 +97,7 @@ def shown_seeds(layer: Labels, plane: Plane, dims: Dims) -> Seeds:
 def seeds_of_plane(layer: Labels, plane: Plane) -> Seeds:
     """Return what a labels layer says about a plane of a stack, whichever is shown.
 
-    Parameters
-    ----------
-    layer : napari.layers.Labels
-        With the axes of the stack, or of its planes alone: those seeds hold for every plane.
-    plane : Plane
+    The layer has the axes of the stack, or of its planes alone: those seeds hold for every plane.
 
     Raises
     ------
