@@ -71,8 +71,8 @@ class LargeAnalysis(Wanted):
 
     >>> import numpy as np
     >>> from napari.components import ViewerModel
-    >>> from napari_defocus.widgets.jobs.analysis import Wanted
-    from napari_defocus.widgets.jobs.estimation import JobCache
+    >>> from napari_defocus.settings import MapSettings
+    >>> from napari_defocus.widgets.jobs.estimation import JobCache
     >>> from napari_defocus.widgets.layers.image_layers import shown_plane
     >>> from napari_defocus.widgets.display.add_results import add_results
     >>> viewer = ViewerModel()
