@@ -45,7 +45,7 @@ class LayerCache(Generic[T]):
         key: Hashable,
         find: Callable[[], T],
     ) -> T:
-        """Return what was found of a layer if its key is the same, all it depends on; or find it."""
+        """Return what was found of a layer, else find it; the key is all that it depends on."""
         found = self.known(layer, key)
         if found is None:
             found = find()

@@ -19,13 +19,14 @@ from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import as_dask
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, check_pixels
 from napari_defocus.widgets.layers.result_metadata import (
+    AT,
     BEST_FOCUS,
     FOCUS_CONFIDENCE,
     METADATA_KEY,
     SHARPEST,
     Results,
     confidence_description,
-    provenance,
+    result_layer,
 )
 
 if TYPE_CHECKING:
@@ -153,50 +154,38 @@ class FocusStacking:
         return own + "s" * (self.plane.data.ndim - len(self.plane.index))
 
     def _layers(self, found: SharpestPlane) -> list[LayerDataTuple]:
-        name, last = self.plane.name, float(self.count - 1)
-        low, high = self.plane.contrast_limits
-        rgb = found.composite.ndim == 3
-        picture = {"rgb": rgb} | ({} if rgb else {"contrast_limits": (low, high)})
-        position = {"colormap": COLOR_MAP, "contrast_limits": (0.0, last), "visible": False}
-        sure = {"colormap": "gray", "contrast_limits": (0.0, 1.0), "visible": False}
+        rgb, last = found.composite.ndim == 3, float(self.count - 1)
+        limits = {} if rgb else {"contrast_limits": self.plane.contrast_limits}
+        position: dict[str, Any] = {"colormap": COLOR_MAP, "contrast_limits": (0.0, last)}
+        sure: dict[str, Any] = {"colormap": "gray", "contrast_limits": (0.0, 1.0)}
+        hidden = {"visible": False}
         return [
-            self._layer(found, SHARPEST, f"{name} sharpest", found.composite, picture),
-            self._layer(found, BEST_FOCUS, f"{name} best focus (plane)", found.position, position),
+            self._layer(found, SHARPEST, found.composite, name="sharpest", rgb=rgb, **limits),
             self._layer(
-                found,
-                FOCUS_CONFIDENCE,
-                f"{name} best focus confidence",
-                found.confidence,
-                sure,
+                *(found, BEST_FOCUS, found.position),
+                name="best focus (plane)",
+                **(position | hidden),
             ),
+            self._layer(found, FOCUS_CONFIDENCE, found.confidence, **(sure | hidden)),
         ]
 
     def _layer(
-        self,
-        found: SharpestPlane,
-        result: str,
-        name: str,
-        values: NDArray[Any],
-        looks: dict[str, Any],
+        self, found: SharpestPlane, result: str, values: NDArray[Any], **looks: Any
     ) -> LayerDataTuple:
         settings = asdict(self.settings) | {"px_per_plane": self.px_per_plane, "axis": self.axis}
-        metadata = provenance(
-            self.plane,
-            result,
-            settings,
-            noise_variance=found.noise_variance,
-            intensities=found.intensities.facts(),
-            px_per_plane=found.px_per_plane,
-            share_of_plane=found.share_of_plane.tolist(),
-        )
+        facts = {
+            "noise_variance": found.noise_variance,
+            "intensities": found.intensities.facts(),
+            "px_per_plane": found.px_per_plane,
+            "share_of_plane": found.share_of_plane.tolist(),
+        }
+        layer = result_layer(self.plane, result, values, settings, facts, **looks)
         placed = _of_all_planes(self.plane.placement) if self._is_plain else None
         if placed is None:
-            values, placed = self.plane.expanded(values), self.plane.placement
-        else:
-            metadata[METADATA_KEY]["at"] = [None, None]
-        return LayerDataTuple(
-            (values, {"name": name, "metadata": metadata, **looks, **placed}, "image")
-        )
+            return layer
+        _, keywords, kind = layer
+        keywords["metadata"][METADATA_KEY][AT] = [None, None]
+        return LayerDataTuple((values, keywords | placed, kind))
 
     @property
     def _is_plain(self) -> bool:
