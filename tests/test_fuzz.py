@@ -22,10 +22,10 @@ SLOW = {"calibrate_psf", "restore_all_in_focus", "fit_report"}
 
 WITHOUT_A_RECIPE = {
     # What functions return: never made by users.
-    *("BlurCandidates", "DepthSurface", "FitReport", "FocusCurve", "PSFComparison"),
+    *("BatchReport", "BlurCandidates", "DepthSurface", "FitReport", "FocusCurve", "PSFComparison"),
     *("PSFEvidence", "PixelExplanation", "RegionTable", "SharpestPlane"),
-    # A protocol, and an exception.
-    *("PSFFamily", "Cancelled"),
+    # A protocol, exceptions, and a function whose files are fuzzed through the terminal.
+    *("PSFFamily", "Cancelled", "UnreadablePicture", "read_picture"),
 }
 
 few = settings(
