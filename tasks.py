@@ -98,8 +98,8 @@ def test(arguments):
 
 def lint(_arguments):
     install("development")
-    checks = ["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]
-    return max([call(PYTHON, "-m", *check) for check in checks])
+    checks = ["ruff", "check"], ["ruff", "format", "--check"], ["mypy"], ["lint-imports"]
+    return max([call(BIN / program, *options) for program, *options in checks])
 
 
 def docs(arguments):
