@@ -4,6 +4,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from types import ModuleType
 
 import errands
@@ -267,7 +268,7 @@ if {busy}:
     [(False, ""), (True, "os._exit(0)"), (True, "os.kill(os.getpid(), signal.SIGTERM)")],
 )
 def test_process_ends_with_its_parent_however_that_ends(busy, end):
-    code = SCRIPT.format(tests=os.path.dirname(__file__), busy=busy, end=end)  # noqa: PTH120
+    code = SCRIPT.format(tests=str(Path(errands.__file__).parent), busy=busy, end=end)
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True)
     parent, child = map(int, done.stdout.split())
