@@ -78,19 +78,20 @@ def drawn(rooms, imports):
     """
     row = {room: number for number, room in enumerate(rooms)}
     below = {room: [other for other in imports[room] if row[other] > row[room]] for room in rooms}
-    arcs = []
+    arcs, longest = [], 0
     for room in rooms:
         for other in imports[room]:
             if row[other] < row[room]:
                 arcs.append(arc(row[room], row[other], LEFT - GAP, -1))
             elif not any(leads_to(below, middle, other) for middle in below[room]):
                 arcs.append(arc(row[room], row[other], LEFT + NAME + GAP, 1))
+                longest = max(longest, row[other] - row[room])
     names = [
         f'<text x="{LEFT + NAME / 2}" y="{center(number) + 5}">{room}</text>'
         f'<rect x="{LEFT}" y="{center(number) - 13}" width="{NAME}" height="26" rx="4"/>'
         for room, number in row.items()
     ]
-    width, height = 2 * LEFT + NAME + ROW * len(rooms) // 2, ROW * len(rooms)
+    width, height = LEFT + NAME + 2 * GAP + longest * ROW // 2, ROW * len(rooms)
     marker = (
         '<marker id="arrowhead" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7"'
         ' markerHeight="7" orient="auto"><path d="M0 0 8 4 0 8z"/></marker>'
