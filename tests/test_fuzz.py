@@ -1,19 +1,13 @@
 """Whatever is given to public functions and to the command ends well, or in a clear error."""
 
-import sys
-from pathlib import Path
-
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import napari_defocus
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
-from fuzz_calls import RECIPES, random_call
-from fuzz_terminal import terminal_call
-from fuzz_verdict import judged
+from benchmarks.fuzz.call import RECIPES, random_call
+from benchmarks.fuzz.terminal import terminal_call
+from benchmarks.fuzz.verdict import judged
 
 EXAMPLES = 3
 
