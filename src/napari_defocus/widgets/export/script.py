@@ -131,7 +131,7 @@ def script_of(work: Work, picture_file: Path | None = None) -> str:
 def _imports(script: str) -> str:
     """Return the imports of those names that a script uses."""
     used = {node.id for node in ast.walk(ast.parse(script)) if isinstance(node, ast.Name)}
-    public = sorted(used & {*napari_defocus.__all__})
+    public = sorted(used & {*dir(napari_defocus)})
     block = "\n".join(["(", *(f"    {name}," for name in public), ")"])
     lines = _IMPORTS.splitlines()
     needed = [line for line in lines if not line or line.split()[-1] in {*used, "PUBLIC"}]
