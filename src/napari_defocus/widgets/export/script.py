@@ -41,7 +41,6 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 from napari_defocus import PUBLIC
-from napari_defocus.io.pictures import read_picture
 from skimage.data import grass
 from skimage.transform import resize"""
 """All that a script may need, in the order of ruff."""
