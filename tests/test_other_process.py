@@ -104,7 +104,7 @@ def test_next_call_is_answered_by_the_same_process_without_napari_and_qt(candida
 def test_errors_come_back_with_type_message_and_origin(candidates, picture):
     with pytest.raises(ValueError, match="image is 63 x 80 px; these candidates") as raised:
         run_elsewhere(label_blur_map, candidates, picture[1:])
-    assert any("labeling.py" in note for note in raised.value.__notes__)
+    assert any("problem.py" in note for note in raised.value.__notes__)
     with pytest.raises(RuntimeError, match="OddError: it fails because it can"):
         run_elsewhere(errands.failing_oddly)
 
@@ -232,11 +232,11 @@ def test_calls_at_the_same_time_have_a_process_each_and_one_is_kept():
 
 
 @pytest.mark.usefixtures("_none_is_kept")
-def test_each_lane_has_a_process_of_its_own_which_is_kept():
-    pids = {lane: run_elsewhere(errands.process_id, lane=lane) for lane in ("", "quick")}
+def test_each_channel_has_a_process_of_its_own_which_is_kept():
+    pids = {name: run_elsewhere(errands.process_id, channel=name) for name in ("", "quick")}
     assert pids[""] != pids["quick"]
-    for lane in ("quick", ""):
-        assert run_elsewhere(errands.process_id, lane=lane) == pids[lane]
+    for name in ("quick", ""):
+        assert run_elsewhere(errands.process_id, channel=name) == pids[name]
 
 
 def test_nothing_is_printed_and_nobody_is_asked(capfd):

@@ -1,12 +1,12 @@
-"""Functions of this package run in another process, so that no thread here waits for them.
+"""Functions of this package run in a worker process, so that no thread here waits for them.
 
 PyMaxflow never releases the GIL, and one cut of a large picture takes seconds: in a thread, it
-stops all others, a window's too. The other process is a plain Python that imports this package
+stops all others, a window's too. The worker process is a plain Python that imports this package
 and nothing of the caller's. It is kept for the next call, and ends when its parent does: at once,
 or after the cut that it is in if the parent was killed.
 
 Work that is no longer wanted ends at its next report; if it makes none for a while, its process
-ends.
+ends. Calls of different *channels* have a process each.
 
 A message is a pickle and the arrays in it, as they lie in memory: their number, their sizes in
 bytes, and they themselves. One that begins a call is (function, args, keywords); the answers are
@@ -79,10 +79,10 @@ def run_elsewhere(
     function: Callable[..., Result],
     *args: Any,
     progress: Progress = silent,
-    lane: str = "",
+    channel: str = "",
     **keywords: Any,
 ) -> Result:
-    """Return ``function(*args, progress=progress, **keywords)``, worked out in another process.
+    """Return ``function(*args, progress=progress, **keywords)``, worked out in a worker process.
 
     Where there can be none, or it cannot be told what to do (some argument cannot be pickled), the
     calling thread does the work.
@@ -97,9 +97,9 @@ def run_elsewhere(
         Called as ``progress(step, done)`` in the calling thread: with every report, and with the
         last one again at least every 0.1 s. An exception from it ends the work: at its next
         report, or with its process if there is none within 0.3 s.
-    lane : str, optional
-        A process is kept for each: short calls need not wait for long ones, and find what they
-        left there.
+    channel : str, optional
+        A worker process is kept for each: short calls need not wait for long ones, and find what
+        they left there.
 
     Returns
     -------
@@ -111,26 +111,26 @@ def run_elsewhere(
     Exception
         Whatever `function` raises, with a note of where it was raised.
     MemoryError
-        If the system ended the other process, which it does when memory runs out.
+        If the system ended the worker process, which it does when memory runs out.
     RuntimeError
-        If the other process ended for another reason.
+        If the worker process ended for another reason.
     """
     try:
         request = _packed((function, args, keywords))
     except Exception:  # pickling calls methods of the arguments: it may be any
         return function(*args, progress=progress, **keywords)
-    helper = _idle_or_new(lane)
-    if helper is None:
+    worker = _idle_or_new(channel)
+    if worker is None:
         return function(*args, progress=progress, **keywords)
     try:
-        word, about = helper.answer(request, progress)
+        word, about = worker.answer(request, progress)
     except BaseException:
-        if helper.stop():
-            _keep_one(helper, lane)
+        if worker.stop():
+            _keep_one(worker, channel)
         else:
-            helper.end()
+            worker.end()
         raise
-    _keep_one(helper, lane)
+    _keep_one(worker, channel)
     if word == "refused":
         return function(*args, progress=progress, **keywords)
     if word == "raised":
@@ -140,8 +140,8 @@ def run_elsewhere(
     return cast(Result, about)
 
 
-class _Helper:
-    """Another process and the pipes to it; used by one thread at a time."""
+class _Worker:
+    """A worker process and the pipes to it; used by one thread at a time."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdin is not None
@@ -241,14 +241,14 @@ class _Helper:
         return RuntimeError(f"the process that did the work ended with exit code {code}")
 
 
-_all: set[_Helper] = set()
-_idle: dict[str, _Helper] = {}
+_all: set[_Worker] = set()
+_idle: dict[str, _Worker] = {}
 _lock = threading.Lock()
 
 
-def _idle_or_new(lane: str) -> _Helper | None:
+def _idle_or_new(channel: str) -> _Worker | None:
     with _lock:
-        idle = _idle.pop(lane, None)
+        idle = _idle.pop(channel, None)
         if idle is not None:
             if idle.is_alive:
                 return idle
@@ -256,9 +256,9 @@ def _idle_or_new(lane: str) -> _Helper | None:
         process = _start()
         if process is None:
             return None
-        helper = _Helper(process)
-        _all.add(helper)
-        return helper
+        worker = _Worker(process)
+        _all.add(worker)
+        return worker
 
 
 def _start() -> subprocess.Popen[bytes] | None:
@@ -281,13 +281,13 @@ def _start() -> subprocess.Popen[bytes] | None:
     return None
 
 
-def _keep_one(helper: _Helper, lane: str) -> None:
-    """Keep a helper for a lane's next call; calls at the same time have had one each."""
+def _keep_one(worker: _Worker, channel: str) -> None:
+    """Keep a worker for a channel's next call; calls at the same time have had one each."""
     with _lock:
-        if helper.is_alive and lane not in _idle:
-            _idle[lane] = helper
+        if worker.is_alive and channel not in _idle:
+            _idle[channel] = worker
         else:
-            helper.end()
+            worker.end()
 
 
 def end_idle() -> None:
@@ -301,12 +301,12 @@ def end_idle() -> None:
 def _end_all() -> None:
     with _lock:
         _idle.clear()
-        for helper in list(_all):
-            helper.end()
+        for worker in list(_all):
+            worker.end()
 
 
 def serve() -> None:
-    """Be the other process: do what comes in on the standard input until that ends."""
+    """Be the worker process: do what comes in on the standard input until that ends."""
     # What anyone prints must not get between the messages, or onto a terminal.
     requests, answers = (
         os.fdopen(os.dup(stream), mode, 0) for stream, mode in ((0, "rb"), (1, "wb"))
