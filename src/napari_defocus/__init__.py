@@ -29,14 +29,11 @@ if TYPE_CHECKING:
         explain_pixel,
     )
     from napari_defocus.labeling.regions import RegionTable, measure_regions
-    from napari_defocus.likelihood.blur_spectra import FitReport, fit_report
     from napari_defocus.likelihood.candidates import BlurCandidates
-    from napari_defocus.likelihood.noise import (
-        ShotNoise,
-        estimate_noise_variance,
-        estimate_shot_noise,
-    )
+    from napari_defocus.likelihood.fitted_spectra import FitReport, fit_report
+    from napari_defocus.likelihood.noise import estimate_noise_variance
     from napari_defocus.likelihood.psf_comparison import PSFComparison, PSFEvidence, compare_psf
+    from napari_defocus.likelihood.shot_noise import ShotNoise, estimate_shot_noise
     from napari_defocus.optics.mesh import DepthSurface, depth_surface
     from napari_defocus.optics.thin_lens import ThinLens, blur_from_depth, depth_from_blur
     from napari_defocus.psf.calibration import calibrate_psf
@@ -63,7 +60,7 @@ _HOME_OF = {
     "Cancelled": "core.progress",
     "DepthSurface": "optics.mesh",
     "Disc": "psf.families",
-    "FitReport": "likelihood.blur_spectra",
+    "FitReport": "likelihood.fitted_spectra",
     "FocusCurve": "stacks.focus_curve",
     "Gaussian": "psf.families",
     "GeneralizedGaussian": "psf.families",
@@ -77,7 +74,7 @@ _HOME_OF = {
     "RegionTable": "labeling.regions",
     "Settings": "io.settings_file",
     "SharpestPlane": "stacks.focus_stacking",
-    "ShotNoise": "likelihood.noise",
+    "ShotNoise": "likelihood.shot_noise",
     "ThinLens": "optics.thin_lens",
     "blur_from_depth": "optics.thin_lens",
     "calibrate_psf": "psf.calibration",
@@ -91,9 +88,9 @@ _HOME_OF = {
     "estimate_blur_map": "api.maps",
     "estimate_candidates": "api.candidates",
     "estimate_noise_variance": "likelihood.noise",
-    "estimate_shot_noise": "likelihood.noise",
+    "estimate_shot_noise": "likelihood.shot_noise",
     "explain_pixel": "labeling.explanation",
-    "fit_report": "likelihood.blur_spectra",
+    "fit_report": "likelihood.fitted_spectra",
     "focus_curve": "stacks.focus_curve",
     "label_blur_map": "api.maps",
     "labeling_energy": "labeling.blur_map",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from napari_defocus.core.intensity import Intensities, IntensityRange, Limits
     from napari_defocus.likelihood.candidates import BlurCandidates
-    from napari_defocus.likelihood.noise import ShotNoise
+    from napari_defocus.likelihood.shot_noise import ShotNoise
     from napari_defocus.psf.families import PSFFamily
     from napari_defocus.restoration.all_in_focus import Restoration
 

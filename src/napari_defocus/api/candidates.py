@@ -16,8 +16,9 @@ from napari_defocus.core.checks import (
     check_noise_variance,
 )
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.candidates import BlurCandidates, Estimation, Search, check_search
-from napari_defocus.likelihood.noise import ShotNoise
+from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.estimation import Estimation, Search, check_search
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import Disc, PSFFamily
 from napari_defocus.settings import BLOCK_SIZE, MapSettings
 

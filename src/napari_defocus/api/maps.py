@@ -22,7 +22,7 @@ from napari_defocus.labeling.blur_map import extrapolated, labeled_blur_map
 from napari_defocus.labeling.confidence import confidence_and_caution, map_confidence
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.likelihood.noise import ShotNoise
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import Disc, PSFFamily
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, RestorationSettings
 

@@ -30,7 +30,9 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
 SILENCE = 1e-12
-"""Smallest noise variance in use: a picture without any noise still has finite likelihoods."""
+"""Smallest noise variance in use, for a contrast of 1: a picture without any noise still has finite
+likelihoods. Chosen by hand.
+"""
 
 _LANES = 16
 """Windows that are worked on at once."""
@@ -40,15 +42,30 @@ _S, _LOG_S, _BEFORE, _DEVIANCE, _AT_ZERO, _Q_V, _Q_VV, _Q_VVV, _MOVING = range(9
 for s = 0; sums of `_moments`; 1 while s still moves."""
 
 _LEAST_LOG, LARGEST_LOG, _LOG_STEP = np.float32(-20), np.float32(60), np.float32(0.5)
+"""log s of the tables: first, last, and from one to the next. Chosen by hand."""
+
 _LEAST_SIGNAL = np.float32(0.1)
-_ABOVE_LEAST = np.float32(3)
+"""s a_i at the strongest frequency, below which s counts as 0. Chosen by hand."""
+
+_ABOVE_LEAST, _RETRY = np.float32(3), 4
+"""Where s = 0 was best, log s begins again so far above its least, at every so many scales: there
+may be two minima. Chosen by hand.
+"""
+
 _MOST_ROUNDS = 6
-_RETRY = 4
+"""Steps in log s at a scale, at most; one or two are usual (docs/architecture.md)."""
+
 _NEARLY_BEST = np.float32(6)
+"""Units of log-likelihood below the best scale that still count for the dispersion. By hand."""
+
 _SETTLED = np.float32(0.02)
+"""Units of log-likelihood: a step that gains less is the last. Chosen by hand."""
 
 SMALLEST = np.float32(1e-6)
+"""Least s, relative to that which makes signal and noise alike at the first frequency. By hand."""
+
 FIRST_ROUNDS = 16
+"""Of (11) or of Newton's steps at the first scale, at most. Chosen by hand."""
 
 
 def noise_power(table: SpectrumTable, noise_variance: float) -> Float64:

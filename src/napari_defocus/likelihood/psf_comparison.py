@@ -12,7 +12,8 @@ from napari_defocus.core.checks import Linearize, check_noise_variance
 from napari_defocus.core.image import prepare_image
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.blur_spectra import check_windows, label_scales, spectrum_table
+from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
+from napari_defocus.likelihood.exact_spectra import check_windows
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers, within_picture
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
@@ -21,7 +22,10 @@ from napari_defocus.psf.text import psf_text
 from napari_defocus.settings import MapSettings
 
 _WINDOWS_APART = 4
+"""Windows are a quarter of their side apart: closer ones say nothing new. Chosen by hand."""
+
 _LARGEST_LOSS = 10.0
+"""Units of log-likelihood that a family loses in a window at most. Chosen by hand."""
 
 
 @dataclass(frozen=True)
