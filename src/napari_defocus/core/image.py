@@ -23,11 +23,15 @@ LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """ITU-R BT.601: the luminance that JPEG keeps at full resolution."""
 
 MIN_SIDE = 3
+"""px: the least side of a picture, that of second differences."""
 
 _LARGEST = 1e9
+"""Intensity, once it is scaled: its fourth power is still a number in single precision."""
 
 _DARK, _DARKEST = 0.5, 1e-3
-"""Of the range: pictures of less contrast are shown from this quantile to the opposite one."""
+"""Of the range: pictures of less contrast are shown from this quantile to the opposite one. By
+hand; nothing is measured with it.
+"""
 
 
 @dataclass(frozen=True)

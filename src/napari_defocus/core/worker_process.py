@@ -8,9 +8,8 @@ or after the cut that it is in if the parent was killed.
 Work that is no longer wanted ends at its next report; if it makes none for a while, its process
 ends. Calls of different *channels* have a process each.
 
-A message is a pickle and the arrays in it, as they lie in memory: their number, their sizes in
-bytes, and they themselves. One that begins a call is (function, args, keywords); the answers are
-pairs of a word and what it is about. In between, the caller may send the word that stops the call.
+A message that begins a call is (function, args, keywords); the answers are pairs of a word and what
+it is about. In between, the caller may send the word that stops the call.
 """
 
 from __future__ import annotations
@@ -20,24 +19,27 @@ import os
 import pickle
 import queue
 import signal
-import struct
 import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from io import RawIOBase
 from typing import IO, Any, TypeVar, cast
 
-import numpy as np
-
+from napari_defocus.core.messages import (
+    Message,
+    packed,
+    pieces,
+    read_message,
+    unpacked,
+    write_piece,
+)
 from napari_defocus.core.progress import Cancelled, Progress, silent
 
 Result = TypeVar("Result")
-Message = list[memoryview]
 
 POLL_INTERVAL = 0.05
 """Seconds between two questions whether the result is still wanted."""
@@ -47,8 +49,6 @@ HANDING_OVER = "Handing over the work"
 LOADING = "Loading the program"
 """Steps before those of the function: each only where it takes its time."""
 
-_PIECE = 2**20
-"""Bytes sent before the next such question: about a millisecond."""
 
 _PIPE = 2**20
 """Bytes that wait to be read: with Linux' 64 KiB, 250 MB take up to 1.6 s, so 0.2 s."""
@@ -64,7 +64,6 @@ _NO_MEMORY = 112
 
 _KILLED = getattr(signal, "SIGKILL", 9)
 
-_NUMBER = struct.Struct("<Q")
 _READY = b"ready"
 _STOP = b"stop"
 _START = """
@@ -116,7 +115,7 @@ def run_elsewhere(
         If the worker process ended for another reason.
     """
     try:
-        request = _packed((function, args, keywords))
+        request = packed((function, args, keywords))
     except Exception:  # pickling calls methods of the arguments: it may be any
         return function(*args, progress=progress, **keywords)
     worker = _idle_or_new(channel)
@@ -172,7 +171,7 @@ class _Worker:
         self._send(request, report)
         self._is_working = True
         while (message := self._next(report)) is not None:
-            word, about = _unpacked(message)
+            word, about = unpacked(message)
             if word != "report":
                 self._is_working = False
                 return word, about
@@ -185,8 +184,8 @@ class _Worker:
         if not self._is_working:
             return False
         try:
-            for piece in _pieces([memoryview(_STOP)]):
-                _write(self._requests, piece)
+            for piece in pieces([memoryview(_STOP)]):
+                write_piece(self._requests, piece)
         except OSError:
             return False
         give_up = time.monotonic() + _GRACE
@@ -197,7 +196,7 @@ class _Worker:
                 return False
             if message is None:
                 return False
-            if _unpacked(message)[0] != "report":
+            if unpacked(message)[0] != "report":
                 self._is_working = False
                 return True
         return False
@@ -217,9 +216,9 @@ class _Worker:
                 ask()
 
     def _send(self, request: Message, ask: Callable[[], None]) -> None:
-        for piece in _pieces(request):
+        for piece in pieces(request):
             try:
-                _write(self._requests, piece)
+                write_piece(self._requests, piece)
             except OSError:
                 raise self._reason_of_end() from None
             ask()
@@ -227,7 +226,7 @@ class _Worker:
     def _listen(self, answers: IO[bytes]) -> None:
         try:
             with answers:
-                while (message := _read(answers)) is not None:
+                while (message := read_message(answers)) is not None:
                     self._messages.put(message)
         except MemoryError:
             self._answer_fits = False
@@ -322,7 +321,7 @@ def serve() -> None:
 
     def listen() -> None:
         try:
-            while (message := _read(requests)) is not None:
+            while (message := read_message(requests)) is not None:
                 if message == [_STOP]:
                     stopped.set()
                 else:
@@ -336,19 +335,19 @@ def serve() -> None:
 
     def tell(message: Message) -> None:
         try:
-            for piece in _pieces(message):
-                _write(answers, piece)
+            for piece in pieces(message):
+                write_piece(answers, piece)
         except OSError:
             os._exit(0)
 
     def report(step: str, done: float) -> None:
         if stopped.is_set():
             raise Cancelled
-        tell(_packed(("report", (step, done))))
+        tell(packed(("report", (step, done))))
 
     tell([memoryview(_READY)])
     first = received.get()
-    tell(_packed(("report", (LOADING, 0.0))))  # a name of a function imports its module
+    tell(packed(("report", (LOADING, 0.0))))  # a name of a function imports its module
     tell(_result(first, report))
     while True:
         tell(_result(received.get(), report))
@@ -356,13 +355,13 @@ def serve() -> None:
 
 def _result(request: Message, progress: Progress) -> Message:
     try:
-        function, args, keywords = _unpacked(request)
+        function, args, keywords = unpacked(request)
     except Exception:  # such as a function of the parent's __main__
-        return _packed(("refused", None))
+        return packed(("refused", None))
     try:
-        return _packed(("returned", function(*args, progress=progress, **keywords)))
+        return packed(("returned", function(*args, progress=progress, **keywords)))
     except Exception as error:
-        return _packed(("raised", (_portable(error), traceback.format_exc())))
+        return packed(("raised", (_portable(error), traceback.format_exc())))
 
 
 def _portable(error: Exception) -> Exception:
@@ -372,47 +371,3 @@ def _portable(error: Exception) -> Exception:
     except Exception:
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
-
-
-def _packed(value: Any) -> Message:
-    arrays: list[pickle.PickleBuffer] = []
-    pickled = pickle.dumps(value, protocol=5, buffer_callback=arrays.append)
-    return [memoryview(pickled), *(array.raw() for array in arrays)]
-
-
-def _unpacked(message: Message) -> Any:
-    return pickle.loads(message[0], buffers=message[1:])
-
-
-def _pieces(message: Message) -> Iterator[memoryview]:
-    sizes = (len(message), *(len(part) for part in message))
-    yield memoryview(b"".join(map(_NUMBER.pack, sizes)))
-    for part in message:
-        for start in range(0, len(part), _PIECE):
-            yield part[start : start + _PIECE]
-
-
-def _write(stream: IO[bytes], piece: memoryview) -> None:
-    while piece:
-        piece = piece[stream.write(piece) :]
-
-
-def _read(stream: IO[bytes]) -> Message | None:
-    """Read a message into memory that its arrays may be changed in; None at the end."""
-    try:
-        [count] = _NUMBER.unpack(_read_bytes(stream, _NUMBER.size))
-        sizes = [_NUMBER.unpack(_read_bytes(stream, _NUMBER.size))[0] for _ in range(count)]
-        return [_read_bytes(stream, size) for size in sizes]
-    except (EOFError, OSError):
-        return None
-
-
-def _read_bytes(stream: IO[bytes], size: int) -> memoryview:
-    read = np.empty(size, np.uint8).data  # a bytearray would be filled with zeros first
-    start = 0
-    while start < size:
-        count = cast(RawIOBase, stream).readinto(read[start:])
-        if not count:
-            raise EOFError
-        start += count
-    return read

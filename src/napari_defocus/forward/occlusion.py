@@ -1,4 +1,4 @@
-"""The forward model of a scene with depth: nearer things hide parts of what lies behind them."""
+"""The occlusion model of a scene with depth: nearer things hide parts of what lies behind them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Float64 = NDArray[np.float64]
 RadiusOfDepth = Callable[[Float64], ArrayLike]
 
 _NOTHING = 1e-4
-"""Coverage that counts as none, above the rounding errors of the convolutions."""
+"""Coverage that counts as none, above the rounding errors of the convolutions. By hand."""
 
 
 def simulate_layered_defocus(

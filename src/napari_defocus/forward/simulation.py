@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import check_number
 from napari_defocus.core.image import prepare_light, with_unknown
 from napari_defocus.forward.blur_operator import BlurOperator, checked_scales
-from napari_defocus.psf.families import Disc, PSFFamily, as_family, check_number
+from napari_defocus.psf.families import Disc, PSFFamily, as_family
 
 Float32 = NDArray[np.float32]
 

@@ -18,21 +18,22 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import convolve
 
 import napari_defocus
-from napari_defocus.psf.families import (
-    check_largest,
-    checked_kernels,
-    checked_scale,
-    corners_to,
-    real_array,
-)
+from napari_defocus.psf.checks import check_largest, checked_kernels, checked_scale, real_array
+from napari_defocus.psf.pixel_areas import corners_to
 
 Float64 = NDArray[np.floating]
 
 _SMALLEST_RATIO = 1e-3
+"""No kernel is scaled down further: it is a point long before."""
+
 _INVISIBLE = 1e-6
+"""Of the largest value: borders that are darker are cut off. Chosen by hand."""
+
 _LARGEST_FILE = 2**30
 """Bytes that a file may unpack to; 100 kernels of 501 px are 0.2 GB."""
+
 _FORMAT = "napari-defocus measured PSF, 1"
+"""What files of ours say of themselves."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
