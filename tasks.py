@@ -1,6 +1,6 @@
 """What a developer runs: ``python3 tasks.py`` and one of ``demo``, ``test``, ``lint``, ``docs``.
 
-Before a release: ``package [pytest arguments]``, ``matrix [places] [pytest arguments]``.
+Before a release: ``nox``, with the sessions of noxfile.py.
 Needs nothing but Python; everything else is installed into .venv beside this file.
 """
 
@@ -33,13 +33,13 @@ LINES_APART = 10.0
 
 PACKAGES_OF = {
     "demo": ["-e", "."],
-    "development": ["-e", ".", "--group", "test", "--group", "lint"],
+    "development": ["-e", ".[napari,large]", "--group", "test", "--group", "lint"],
     "docs": ["-e", ".", "--group", "docs"],
-    "release": ["-e", ".", "--group", "lint", "--group", "release"],
+    "release": ["--group", "release"],
 }
 
 # What else has the packages that are asked for.
-ALSO_HELD_BY = {"demo": {"development", "docs", "release"}}
+ALSO_HELD_BY = {"demo": {"development", "docs"}}
 
 PACKAGE_OF_PROGRAM = {"Xvfb": "xvfb", "xauth": "xauth"}
 
@@ -75,8 +75,7 @@ def main(arguments):
         "test": test,
         "lint": lint,
         "docs": docs,
-        "package": package,
-        "matrix": matrix,
+        "nox": nox,
     }
     if not arguments or arguments[0] not in tasks:
         sys.exit(f"usage: python3 tasks.py {{{'|'.join(tasks)}}} [arguments]")
@@ -98,8 +97,8 @@ def test(arguments):
 
 def lint(_arguments):
     install("development")
-    checks = ["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]
-    return max([call(PYTHON, "-m", *check) for check in checks])
+    checks = ["ruff", "check"], ["ruff", "format", "--check"], ["mypy"], ["lint-imports"]
+    return max([call(BIN / program, *options) for program, *options in checks])
 
 
 def docs(arguments):
@@ -111,22 +110,12 @@ def docs(arguments):
     return failed or call(PYTHON, Path("docs", "check_links.py"), pages)
 
 
-def package(arguments):
-    return check_release("release.package.check_package", arguments)
-
-
-def matrix(arguments):
-    return check_release("release.matrix.check_matrix", arguments)
-
-
-def check_release(function, arguments):
-    """Call a function of the folder release, with the Python that has its tools."""
+def nox(arguments):
+    """Run the checks before a release, which make environments of their own."""
     install("release")
     if sys.platform == "linux":
         install_display_packages()
-    module, _, name = function.rpartition(".")
-    code = f"import sys; from {module} import {name}; sys.exit({name}(sys.argv[1:]))"
-    return call(PYTHON, "-c", code, *arguments)
+    return call(PYTHON, "-m", "nox", *arguments)
 
 
 def call(*command):

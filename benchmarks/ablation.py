@@ -27,8 +27,8 @@ from napari_defocus import (
 )
 from napari_defocus.core.image import decode_srgb, encode_srgb
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
+from napari_defocus.labeling.data_term import artificial_likelihood
 from napari_defocus.labeling.graph_cuts import expand_until_settled
-from napari_defocus.labeling.problem import artificial_likelihood
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP, spectrum_table
 from napari_defocus.likelihood.gabor import local_power
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood

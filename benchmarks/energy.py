@@ -34,7 +34,8 @@ from napari_defocus.labeling.graph_cuts import (
     minimize_energy,
     solve_exactly,
 )
-from napari_defocus.labeling.pixel_refinement import Blocks, label_pixels, pixel_weights
+from napari_defocus.labeling.pairwise_term import Blocks, pixel_weights
+from napari_defocus.labeling.pixel_refinement import label_pixels
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.settings import MapSettings
 

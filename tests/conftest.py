@@ -23,7 +23,7 @@ def pytest_collection_modifyitems(config, items):
         return
     with_windows = {item.path for item in items if item.get_closest_marker("display")}
     for item in items:
-        group = "windows" if item.path in with_windows else item.path.stem
+        group = "windows" if item.path in with_windows else item.nodeid.partition("::")[0]
         item.add_marker(pytest.mark.xdist_group(group))
     items.sort(key=lambda item: item.path not in with_windows)
 

@@ -21,6 +21,7 @@ from napari_defocus import (
 
 PUBLIC = {
     "Annulus",
+    "BatchReport",
     "BlurCandidates",
     "Cancelled",
     "DepthSurface",
@@ -41,6 +42,7 @@ PUBLIC = {
     "SharpestPlane",
     "ShotNoise",
     "ThinLens",
+    "UnreadablePicture",
     "blur_from_depth",
     "calibrate_psf",
     "cautious_blur_map",
@@ -62,6 +64,7 @@ PUBLIC = {
     "measure_batch",
     "measure_regions",
     "psf_from_text",
+    "read_picture",
     "restore_all_in_focus",
     "segment_in_focus",
     "sharpest_plane",
@@ -90,7 +93,7 @@ def test_public_names_are_there_and_listed():
 
 
 def test_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="has no attribute 'sharpen'"):
+    with pytest.raises(AttributeError, match="sharpen"):
         _ = napari_defocus.sharpen
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from napari_defocus.labeling.multigrid import STEPS
-from napari_defocus.labeling.pixel_refinement import Blocks, interpolate_labels, label_pixels
+from napari_defocus.labeling.pairwise_term import Blocks
+from napari_defocus.labeling.pixel_refinement import interpolate_labels, label_pixels
 from napari_defocus.likelihood.gabor import window_centers
 
 

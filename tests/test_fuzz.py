@@ -1,19 +1,13 @@
 """Whatever is given to public functions and to the command ends well, or in a clear error."""
 
-import sys
-from pathlib import Path
-
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import napari_defocus
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
-from fuzz_calls import RECIPES, random_call
-from fuzz_terminal import terminal_call
-from fuzz_verdict import judged
+from benchmarks.fuzz.call import RECIPES, random_call
+from benchmarks.fuzz.terminal import terminal_call
+from benchmarks.fuzz.verdict import judged
 
 EXAMPLES = 3
 
@@ -22,10 +16,10 @@ SLOW = {"calibrate_psf", "restore_all_in_focus", "fit_report"}
 
 WITHOUT_A_RECIPE = {
     # What functions return: never made by users.
-    *("BlurCandidates", "DepthSurface", "FitReport", "FocusCurve", "PSFComparison"),
+    *("BatchReport", "BlurCandidates", "DepthSurface", "FitReport", "FocusCurve", "PSFComparison"),
     *("PSFEvidence", "PixelExplanation", "RegionTable", "SharpestPlane"),
-    # A protocol, and an exception.
-    *("PSFFamily", "Cancelled"),
+    # A protocol, exceptions, and a function whose files are fuzzed through the terminal.
+    *("PSFFamily", "Cancelled", "UnreadablePicture", "read_picture"),
 }
 
 few = settings(

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from napari_defocus import estimate_candidates
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
+from napari_defocus.labeling.data_term import data_term
 from napari_defocus.labeling.graph_cuts import (
     energy_of,
     expand,
@@ -20,8 +21,7 @@ from napari_defocus.labeling.graph_cuts import (
     solve_exactly,
 )
 from napari_defocus.labeling.multigrid import STEPS
-from napari_defocus.labeling.pixel_refinement import Blocks
-from napari_defocus.labeling.problem import data_term
+from napari_defocus.labeling.pairwise_term import Blocks
 
 seeds = st.integers(0, 2**32 - 1)
 

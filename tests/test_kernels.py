@@ -30,12 +30,11 @@ from napari_defocus.labeling.graph_cuts import (
     solve_exactly,
 )
 from napari_defocus.labeling.multigrid import _RELAXATION, STEPS, _joined_weights, _relaxed
+from napari_defocus.labeling.pairwise_term import Blocks, pixel_weights
 from napari_defocus.labeling.pixel_refinement import (
-    Blocks,
     _interpolated_change,
     energy_of_pixels,
     interpolate_labels,
-    pixel_weights,
 )
 from napari_defocus.likelihood.blur_spectra import SpectrumTable
 from napari_defocus.likelihood.gabor import _filtered, axis_filters, window_centers

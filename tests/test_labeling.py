@@ -15,8 +15,8 @@ from napari_defocus import (
     labeling_energy,
 )
 from napari_defocus.labeling import data_term as evidence
-from napari_defocus.labeling.pixel_refinement import Blocks
-from napari_defocus.labeling.problem import KAPPA, artificial_likelihood, data_term
+from napari_defocus.labeling.data_term import KAPPA, artificial_likelihood, data_term
+from napari_defocus.labeling.pairwise_term import Blocks
 
 TEXTURES = pytest.mark.parametrize("texture", ["grass", "gravel", "clouds"])
 

@@ -13,7 +13,7 @@ def test_kernels_pass_their_tests_as_plain_python():
     command = [sys.executable, "-m", "pytest", "-m", "kernel", "-p", "no:cacheprovider"]
     # Only the plugin that pyproject.toml has settings for: the others take seconds to start.
     # And only the files that have such tests: importing the others takes seconds, too.
-    files = [path for path in TESTS.glob("test_*.py") if "mark.kernel" in path.read_text("utf-8")]
+    files = [path for path in TESTS.rglob("test_*.py") if "mark.kernel" in path.read_text("utf-8")]
     command += ["-p", "pytest_timeout", *files]
     environment = os.environ | {
         "NUMBA_DISABLE_JIT": "1",

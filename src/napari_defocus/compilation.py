@@ -19,23 +19,28 @@ from scipy.ndimage import uniform_filter
 
 from napari_defocus.core.progress import COMPILING, Progress
 from napari_defocus.core.threads import in_one_thread
-from napari_defocus.labeling import continuous_refinement as refinement
-from napari_defocus.labeling import data_term as evidence
-from napari_defocus.labeling import graph_cuts as graphcut
-from napari_defocus.labeling import multigrid as coarser_grids
-from napari_defocus.labeling import pixel_refinement as boundaries
+from napari_defocus.labeling import (
+    continuous_refinement,
+    data_term,
+    graph_cuts,
+    multigrid,
+    pairwise_term,
+    pixel_refinement,
+)
 from napari_defocus.labeling.blur_map import labeled_blur_map
 from napari_defocus.labeling.confidence import map_confidence
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.labeling.segmentation import labeled_mask
-from napari_defocus.likelihood import gabor, maxima
-from napari_defocus.likelihood import profile_likelihood as likelihood
+from napari_defocus.likelihood import gabor, maxima, profile_likelihood
 from napari_defocus.likelihood.estimation import Estimation
 from napari_defocus.psf.families import Disc
 
 _MODULES = (
-    gabor, likelihood, maxima, evidence, coarser_grids, graphcut, boundaries, refinement
-)  # fmt: skip
+    *(gabor, profile_likelihood, maxima, data_term, multigrid),
+    *(graph_cuts, pairwise_term, pixel_refinement, continuous_refinement),
+)
+"""Where the kernels of maps, masks and confidences are."""
+
 _SIDE = 56
 """px, as many windows as pixels: enough for a coarser grid of labels."""
 

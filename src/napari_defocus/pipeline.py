@@ -156,7 +156,7 @@ def _seen_of(image: Any, axes: str | None) -> Any:
 
     if axes is None and not is_lazy(image):
         return image
-    from napari_defocus.tiled.candidates import sampled
+    from napari_defocus.tiled.plane_noise import sampled
 
     return sampled(first_plane(image, axes))
 

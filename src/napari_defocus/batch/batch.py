@@ -39,7 +39,7 @@ from napari_defocus.batch.sources import (
     unopened,
 )
 from napari_defocus.batch.table import FAILED, Row, in_csv, in_json_lines
-from napari_defocus.batch.tiled_planes import PartNote, PlaneInParts
+from napari_defocus.batch.tiled_planes import TiledPlane, TileNote
 from napari_defocus.core.checks import (
     check_block_size,
     check_confidence,
@@ -406,7 +406,7 @@ class _Batch:
     def _part_jobs(self, work: SourceWork, task: PlaneTask) -> Iterator[Job]:
         """Yield the job of a large plane, unless that is finished or cannot be done."""
         try:
-            plane = PlaneInParts(task)
+            plane = TiledPlane(task)
             parts = plane.graph()
         except (TypeError, ValueError) as error:
             self._note(work, task, error)
@@ -419,9 +419,9 @@ class _Batch:
             self._note(work, task, plane.row())
 
     def _note_part(
-        self, work: SourceWork, plane: PlaneInParts, left: int, result: PartNote | BaseException
+        self, work: SourceWork, plane: TiledPlane, left: int, result: TileNote | BaseException
     ) -> None:
-        if isinstance(result, PartNote):
+        if isinstance(result, TileNote):
             plane.notes.append(result)
             self.counter.count(0, result.px)
             self.counter.tell()

@@ -244,7 +244,7 @@ def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDA
 
 def _stack_limits(task: PlaneTask) -> Limits:
     """Return the limits of all planes: noted by the first worker that needs them."""
-    from napari_defocus.tiled.candidates import limits_of_planes
+    from napari_defocus.tiled.plane_noise import limits_of_planes
 
     assert task.stack is not None
     path = task.row_path.with_name("limits.json")

@@ -1,4 +1,4 @@
-"""Planes of a batch that are too large for one task: measured and written part by part."""
+"""Planes of a batch that are too large for one task: measured and written tile by tile."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class TooLarge(ValueError):
 
 
 @dataclass(frozen=True)
-class PartNote:
-    """What is noted of a part: that it is finished, and what the plane's row needs of it."""
+class TileNote:
+    """What is noted of a tile: that it is finished, and what the plane's row needs of it."""
 
     px: int
     counts: PixelCounts
@@ -38,8 +38,8 @@ class PartNote:
 
 
 @dataclass(frozen=True)
-class _PartTask:
-    """A part to be written, once it is measured."""
+class _TileTask:
+    """A tile to be written, once it is measured."""
 
     region: Region
     index: tuple[int, ...]
@@ -48,8 +48,8 @@ class _PartTask:
     plan: BatchPlan
 
 
-class PlaneInParts:
-    """A large plane, of which parts are worked on one by one.
+class TiledPlane:
+    """A large plane, of which tiles are worked on one by one.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class PlaneInParts:
     Raises
     ------
     TooLarge
-        If something is wanted that is not made of parts.
+        If something is wanted that is not made of tiles.
     """
 
     def __init__(self, task: PlaneTask) -> None:
@@ -71,12 +71,12 @@ class PlaneInParts:
         self._parts = [
             self._part(region) for region in _regions(task.plane.shape[:2], plan.block_size)
         ]
-        known = [(part, _finished(part)) for part in self._parts]
-        self._left = [part for part, note in known if note is None]
+        known = [(tile, _finished(tile)) for tile in self._parts]
+        self._left = [tile for tile, note in known if note is None]
         self.notes = [note for _, note in known if note is not None]
 
     def graph(self) -> list[list[Any]]:
-        """Return rows of delayed tasks, one for each part that is not finished."""
+        """Return rows of delayed tasks, one for each tile that is not finished."""
         from dask import delayed
 
         from napari_defocus.tiled.tile_graph import cut_together
@@ -85,14 +85,14 @@ class PlaneInParts:
             return []
         found, noise = self._measured()
         write = delayed(_write, pure=False)
-        pieces = iter(cut_together(found, [part.region for part in self._left]))
+        pieces = iter(cut_together(found, [tile.region for tile in self._left]))
         return [
-            [write(part, noise, next(pieces)) for part in row]
-            for _, row in groupby(self._left, key=lambda part: part.region[0].start)
+            [write(tile, noise, next(pieces)) for tile in row]
+            for _, row in groupby(self._left, key=lambda tile: tile.region[0].start)
         ]
 
     def row(self) -> Row:
-        """Return the plane's row, now that every part was tried; note it if all are finished."""
+        """Return the plane's row, now that every tile was tried; note it if all are finished."""
         known = self.task.known
         if self.error is not None:
             return failed(known, self.error)
@@ -102,15 +102,15 @@ class PlaneInParts:
         row = known | {"status": DONE} | counts.facts() | noise
         row |= self.task.results
         write_note(self.task.row_path, row)
-        for part in self._parts:
-            part.note.unlink(missing_ok=True)
+        for tile in self._parts:
+            tile.note.unlink(missing_ok=True)
         return row
 
-    def _part(self, region: Region) -> _PartTask:
+    def _part(self, region: Region) -> _TileTask:
         task, (rows, columns) = self.task, region
         name = f"{task.row_path.stem}-at-{rows.start}-{columns.start}.json"
         note = task.row_path.with_name(name)
-        return _PartTask(region, task.index, task.targets, note, task.plan)
+        return _TileTask(region, task.index, task.targets, note, task.plan)
 
     def _measured(self) -> tuple[dict[str, Any], Any]:
         """Return dask arrays of all that is wanted, and the noise, delayed."""
@@ -145,7 +145,7 @@ class PlaneInParts:
 
 
 def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:
-    """Yield parts as large as those that are measured, in whole tiles of the stores."""
+    """Yield tiles as large as those that are measured, in whole tiles of the stores."""
     height, width = shape
     side = TILE * max(1, block_size // TILE)
     for top in range(0, height, side):
@@ -154,31 +154,31 @@ def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:
 
 
 def _px(region: Region) -> int:
-    return math.prod(part.stop - part.start for part in region)
+    return math.prod(tile.stop - tile.start for tile in region)
 
 
-def _finished(part: _PartTask) -> PartNote | None:
-    known = read_note(part.note)
-    if known is None or not all(_has(target, part) for target in part.targets):
+def _finished(tile: _TileTask) -> TileNote | None:
+    known = read_note(tile.note)
+    if known is None or not all(_has(target, tile) for target in tile.targets):
         return None
     counts = PixelCounts.of_note(known["counts"])
-    return PartNote(_px(part.region), counts, known["noise_variance"], known["intensities"])
+    return TileNote(_px(tile.region), counts, known["noise_variance"], known["intensities"])
 
 
-def _has(target: Target, part: _PartTask) -> bool:
+def _has(target: Target, tile: _TileTask) -> bool:
     # Without a writer, the store is whole.
-    return target.writer is None or target.writer.has_region(_place(part, target))
+    return target.writer is None or target.writer.has_region(_place(tile, target))
 
 
-def _place(part: _PartTask, target: Target) -> tuple[slice | int, ...]:
+def _place(tile: _TileTask, target: Target) -> tuple[slice | int, ...]:
     assert target.writer is not None
-    colors = target.writer.shape[len(part.index) + 2 :]
-    return (*part.index, *part.region, *(slice(0, count) for count in colors))
+    colors = target.writer.shape[len(tile.index) + 2 :]
+    return (*tile.index, *tile.region, *(slice(0, count) for count in colors))
 
 
-def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartNote:
-    """Write what was found of a part, note that it is finished, and return the note."""
-    plan, confidence = part.plan, found["confidence"]
+def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileNote:
+    """Write what was found of a tile, note that it is finished, and return the note."""
+    plan, confidence = tile.plan, found["confidence"]
     counts = count_pixels(
         found["blur_map"],
         confidence,
@@ -188,11 +188,11 @@ def _write(part: _PartTask, noise: Any, found: dict[str, NDArray[Any]]) -> PartN
     )
     untrusted = confidence < plan.min_confidence
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
-    for target in part.targets:
+    for target in tile.targets:
         assert target.writer is not None
-        target.writer.write_region(_place(part, target), made[target.kind])
+        target.writer.write_region(_place(tile, target), made[target.kind])
     intensities = noise.intensities.facts()
-    note = PartNote(_px(part.region), counts, float(noise.known), intensities)
+    note = TileNote(_px(tile.region), counts, float(noise.known), intensities)
     noted = {"noise_variance": note.noise_variance, "intensities": intensities}
-    write_note(part.note, {"counts": counts.note()} | noted)
+    write_note(tile.note, {"counts": counts.note()} | noted)
     return note

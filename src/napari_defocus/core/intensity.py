@@ -24,7 +24,7 @@ _WHOLE_RANGES = (255.0, 65535.0)
 
 _EXTREME, _MARGIN = 1e-3, 1.25
 """Of the span between these quantiles, so much at most is contrast: a few hot pixels are none.
-Measured: docs/architecture.md, intensities.
+Measured: docs/decisions.md, intensities.
 """
 
 _MANY = 2**20

@@ -49,7 +49,7 @@ class CompilationClock:
     """
 
     def __init__(self, progress: Progress, now: Callable[[], float] = time.perf_counter) -> None:
-        self.seconds = 0.0
+        self.seconds: float = 0.0
         self._progress = progress
         self._now = now
         self._since: float | None = None

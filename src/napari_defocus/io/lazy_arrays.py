@@ -102,7 +102,7 @@ class Carried:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the functions by what they do; arrays in memory are not copied."""
-        import cloudpickle  # type: ignore[import-untyped]  # dask needs it, too
+        import cloudpickle  # type: ignore[import-untyped]
 
         buffers: list[pickle.PickleBuffer] = []
         pickled = cloudpickle.dumps(self.array, protocol=5, buffer_callback=buffers.append)

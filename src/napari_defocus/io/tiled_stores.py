@@ -11,12 +11,12 @@ from dask import delayed
 
 from napari_defocus.core.progress import Progress
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
-from napari_defocus.tiled.candidates import run_tasks
+from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.tile_graph import cut_together
 
 
 def store(arrays: dict[str, Any], writers: dict[str, OmeZarrWriter], progress: Progress) -> None:
-    """Compute dask arrays part by part into stores, and finish these.
+    """Compute dask arrays tile by tile into stores, and finish these.
 
     What was written before an interruption is not computed again.
 

@@ -47,6 +47,8 @@ CURVE_WEIGHT = np.float32(24)
 """Of the curves' depth as data term, against the penalty (15)."""
 
 _LEAST_SMOOTHNESS = 1e-12
+"""Of the sums of pairwise weights, so that their quotient is defined."""
+
 _HOLD = 12.0
 """Of the smoothness, for each label that the rim of a part differs from the whole picture's."""
 

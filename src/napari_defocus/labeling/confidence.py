@@ -20,13 +20,19 @@ TOLERANCE = 0.5
 """What counts as right, in px."""
 
 _JUMP_SIDE = 31
+"""px, side of the square around a pixel in which jumps of the map lower its confidence."""
+
 _ROUNDING = 1e-4
+"""px: what scales differ by for no more than their rounding."""
 
 _TEMPER = 0.7
+"""Power of the likelihood that the confidence takes: by benchmarks/confidence.py."""
+
 _WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.419, -0.280, 0.709
 """Fitted by benchmarks/confidence.py, which also says what they are worth."""
 
 _LEAST_ODDS, _LEAST_JUMP = 5e-4, 0.05
+"""Below which shares of likelihood, and jumps in px, make no difference; chosen by hand."""
 
 _CAUTION_SIGMA = 8.0
 """px, over which what is taken off a map is smoothed."""

@@ -24,6 +24,7 @@ from scipy.ndimage import gaussian_filter
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
+from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
 
 Float32 = NDArray[np.float32]
@@ -35,17 +36,61 @@ _DETAIL = 1.0
 """Standard deviation, in px, of the Gaussian that leaves no fine details."""
 
 _SHIFTS = 2.0
+"""How many mean shifts a window moves away from fine details, see above."""
+
 _LARGEST_SHIFT = 0.5
 """As a share of the window's side."""
 
 _LEAST_RATIO, _LEAST_STEP = 2.0, 0.5
+"""The moved window is believed if it is blurred by more than 2 r + 0.5 px: a steep slope of the
+blur is no edge (a difference of 1 px instead cost bumps what edges gained; docs/decisions.md)."""
+
 _LEAST_ENERGY = 1e-12
+"""Of fine details, so that the logarithm of their energy is defined."""
 
 _DEPTH = np.float32(15)
+"""Of a curve, in log-likelihood: what lies deeper counts as much. Chosen on ramps and bumps."""
+
 _NEIGHBORHOOD = 8.0
+"""Standard deviation, in px, of the Gaussian that averages curves: they tell where texture is."""
+
 _EVERY = 4
+"""Of the scales, so many are looked at for that: every 0.4 px."""
+
 _INFORMATIVE, _STEEPNESS = 4.0, 3.0
 """Noise alone gives averaged curves a depth of 0.05 to 0.9, rarely 3; texture 8 to 15."""
+
+KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
+"""The kernel that widens candidates into an artificial likelihood (Section III-B)."""
+
+LIKELIHOOD_FLOOR = 1e-24
+"""The artificial likelihood of scales that no candidate reaches, instead of 0."""
+
+
+def data_term(candidates: BlurCandidates) -> Float32:
+    """Return D of (14) but for a weight: the cost of each scale at each window, (R, C, L).
+
+    In the mode "paper", -log of the artificial likelihood; in "curve", the limited depth.
+    """
+    if candidates.mode == "paper":
+        return -np.log(artificial_likelihood(candidates)).astype(np.float32)
+    return limited_depth(candidates)
+
+
+def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
+    """Return p~ of Section III-B: the three candidates widened by kappa, sum 1, (R, C, L)."""
+    present = np.isfinite(candidates.radii)
+    known = np.where(present, candidates.log_likelihoods, 0).astype(np.float64)
+    height = np.where(present, np.exp(known - known[..., :1]), 0)
+    label = np.rint(np.where(present, candidates.radii, 0) / LABEL_STEP).astype(int)
+    count, reach = len(candidates.scales), len(KAPPA) // 2
+    likelihood = np.zeros((*label.shape[:2], count + 2 * reach))
+    rows, columns = np.indices(label.shape[:2])
+    for k in range(label.shape[2]):
+        for tap, weight in enumerate(KAPPA):
+            likelihood[rows, columns, label[..., k] + tap] += weight * height[..., k]
+    likelihood = np.maximum(likelihood[..., reach:-reach], LIKELIHOOD_FLOOR)
+    return likelihood / likelihood.sum(axis=2, keepdims=True)
 
 
 def on_own_side(candidates: BlurCandidates, picture: PreparedImage) -> BlurCandidates:

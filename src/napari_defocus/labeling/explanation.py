@@ -31,6 +31,7 @@ _NEARLY = 1.0
 """Maxima that differ by less, in log p(r), are nearly as likely: by a factor of 2.7."""
 
 _NEIGHBORS = 32
+"""px around a place whose windows are looked at: averaged curves reach no farther."""
 _DETAILS = 8
 """How far, in px, averaged curves and filtered details see; see `evidence`."""
 

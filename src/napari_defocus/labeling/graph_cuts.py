@@ -34,13 +34,27 @@ Mask = NDArray[np.bool_]
 Places = NDArray[np.int64]
 
 _STEP = "Choosing labels"
+
 _COARSEST = 2600
+"""Costs of one label, and so nodes, of the coarsest grid at most: it is solved exactly."""
+
 _COARSE_STEP = 4
+"""There, every 4th label is a choice (every 2nd: no better a map, three times the time)."""
+
 _EVERYWHERE = 8
+"""On finer grids, every 8th label is offered to all nodes."""
+
 _LEAST_GAIN = 1e-6
+"""Of the energy: expansions go on while a round gains as large a share."""
+
 _NEVER = 1e12
+"""Capacity of edges that no cut may separate; energies stay far below."""
+
 _ROUNDS = 10
+"""Of message passing to and fro before a cut: speed only, the cut is the same."""
+
 _SHARE = np.float32(0.25)
+"""Of a node's cost that it lets each neighbour have: a node has 4 edges on either side."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +76,10 @@ class _Sweep:
 
 
 _CLOSE = _Sweep(reach=1, grow=1, step=1)
+"""Offers of a label that a neighbour has, or one beside it."""
+
 _FAR = _Sweep(reach=16, grow=6, step=4)
+"""Offers of labels that are found farther away."""
 
 
 def minimize_energy(

@@ -13,22 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.labeling.data_term import limited_depth, on_own_side
-from napari_defocus.labeling.pixel_refinement import Blocks
-from napari_defocus.likelihood.blur_spectra import LABEL_STEP
+from napari_defocus.labeling.data_term import data_term, on_own_side
+from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
 
 Float32 = NDArray[np.float32]
 Result = TypeVar("Result")
 Ingredients = tuple[BlurCandidates, ArrayLike, tuple[float, float] | None]
 
-KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
-"""The kernel that widens candidates into an artificial likelihood (Section III-B)."""
-
-LIKELIHOOD_FLOOR = 1e-24
-"""The artificial likelihood of scales that no candidate reaches, instead of 0."""
-
 _REMEMBERED = 2
+"""Problems that a worker process keeps: the picture that is worked on, and the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,32 +111,6 @@ def _picture_of(
             f"picture of {candidates.image_shape[0]} x {candidates.image_shape[1]} px"
         )
     return picture
-
-
-def data_term(candidates: BlurCandidates) -> Float32:
-    """Return D of (14) but for a weight: the cost of each scale at each window, (R, C, L).
-
-    In the mode "paper", -log of the artificial likelihood; in "curve", the limited depth.
-    """
-    if candidates.mode == "paper":
-        return -np.log(artificial_likelihood(candidates)).astype(np.float32)
-    return limited_depth(candidates)
-
-
-def artificial_likelihood(candidates: BlurCandidates) -> NDArray[np.float64]:
-    """Return p~ of Section III-B: the three candidates widened by kappa, sum 1, (R, C, L)."""
-    present = np.isfinite(candidates.radii)
-    known = np.where(present, candidates.log_likelihoods, 0).astype(np.float64)
-    height = np.where(present, np.exp(known - known[..., :1]), 0)
-    label = np.rint(np.where(present, candidates.radii, 0) / LABEL_STEP).astype(int)
-    count, reach = len(candidates.scales), len(KAPPA) // 2
-    likelihood = np.zeros((*label.shape[:2], count + 2 * reach))
-    rows, columns = np.indices(label.shape[:2])
-    for k in range(label.shape[2]):
-        for tap, weight in enumerate(KAPPA):
-            likelihood[rows, columns, label[..., k] + tap] += weight * height[..., k]
-    likelihood = np.maximum(likelihood[..., reach:-reach], LIKELIHOOD_FLOOR)
-    return likelihood / likelihood.sum(axis=2, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)

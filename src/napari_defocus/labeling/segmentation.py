@@ -14,7 +14,8 @@ from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.graph_cuts import solve_exactly
 from napari_defocus.labeling.multigrid import coarser
-from napari_defocus.labeling.pixel_refinement import Blocks, label_pixels
+from napari_defocus.labeling.pairwise_term import Blocks
+from napari_defocus.labeling.pixel_refinement import label_pixels
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
 from napari_defocus.labeling.seeds import checked_seeds
 from napari_defocus.likelihood.candidates import BlurCandidates
@@ -24,8 +25,13 @@ Float32 = NDArray[np.float32]
 
 _STEP = "Separating focus from blur"
 _CURVE_WEIGHT = np.float32(10)
+"""Of the data term (18), against the smoothness of masks: at most 150 a window of one pixel."""
+
 _BLOCK_SHARE = 0.3
+"""Of the smoothness, what blocks pay: with all of it small things vanish (docs/decisions.md)."""
+
 _NEVER = np.float32(1e12)
+"""Cost of what must not be; energies stay far below, and single precision holds it."""
 
 
 def labeled_mask(

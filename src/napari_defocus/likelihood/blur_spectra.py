@@ -25,12 +25,12 @@ INDISTINCT = 1e-6
 
 _SPREAD, _LEAST_SPREAD = 0.06, 1e-3
 """Standard deviation of the scales within a window: relative, and at least so many px. Averages
-over 30 to 70 % lost (docs/architecture.md); the least one only keeps it above 0.
+over 30 to 70 % lost (docs/decisions.md); the least one only keeps it above 0.
 """
 
 _SHARP_SHARE, _SHARP_BELOW, _SHARP_FALL = 5e-4, 0.625, 6
 """Share of sharp light; from which part of the largest scale it falls, 5 px of 8, and with which
-power. The share is measured (docs/architecture.md), the power chosen by hand.
+power. The share is measured (docs/decisions.md), the power chosen by hand.
 """
 
 _WEAK_NOISE, _POINTLIKE, _CENTERS_STEP = 1e-3, 0.1, 5

@@ -34,7 +34,7 @@ _FLOOR_OF_WHITE = 0.865
 _PROCESSING_VARIANCE = 2e-5
 """What a camera leaves at middle frequencies besides the finest details, intensities in [0, 1]: a
 level of 8 bits or so. With half the error of JPEG's steps, it served simulated cameras of
-qualities 40 to 98 (docs/architecture.md).
+qualities 40 to 98 (docs/decisions.md).
 """
 
 

@@ -53,7 +53,7 @@ may be two minima. Chosen by hand.
 """
 
 _MOST_ROUNDS = 6
-"""Steps in log s at a scale, at most; one or two are usual (docs/architecture.md)."""
+"""Steps in log s at a scale, at most; one or two are usual (docs/decisions.md)."""
 
 _NEARLY_BEST = np.float32(6)
 """Units of log-likelihood below the best scale that still count for the dispersion. By hand."""

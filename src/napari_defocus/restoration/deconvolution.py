@@ -49,7 +49,7 @@ Float32 = NDArray[np.float32]
 _DOUBT, _DOUBT_POWER = 2.0, 3
 """The error of a radius, in px, that counts where the confidence is 0, and the power of one minus
 the confidence with which it falls. Chosen by hand; that an error of 0.03 r + 0.05 px everywhere
-lost is in docs/architecture.md.
+lost is in docs/decisions.md.
 """
 
 _SILENCE = 1e-8
@@ -67,22 +67,22 @@ by hand.
 
 _STEPS_A_ROUND, _MOST_ROUNDS, _USUAL_ROUNDS = 5, 25, 8
 """PCG steps a round, rounds at most, and rounds that pictures usually need, for the progress: 30
-to 40 steps (docs/architecture.md). The first two are chosen by hand.
+to 40 steps (docs/decisions.md). The first two are chosen by hand.
 """
 
 _TOLERANCE = 3e-3
 """A round that changes less than this share of the picture's norm is the last. Chosen by hand."""
 
 _CHECKED_AFTER = (2, 4)
-"""Rounds, from 0, after which scales that explain nothing are reduced (docs/architecture.md)."""
+"""Rounds, from 0, after which scales that explain nothing are reduced (docs/decisions.md)."""
 
 _GROSS = 8.0
 """Times the noise that the residual's local power has to be. With 3 the gain on ramps fell to
-6.6 dB (docs/architecture.md).
+6.6 dB (docs/decisions.md).
 """
 
 _VISIBLE = 2e-5
-"""Added to the noise variance in this, in units of the squared contrast (docs/architecture.md)."""
+"""Added to the noise variance in this, in units of the squared contrast (docs/decisions.md)."""
 
 _RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
 """px: over which the residual's power is averaged, and how far around the scale is reduced.

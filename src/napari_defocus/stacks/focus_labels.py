@@ -29,12 +29,8 @@ from napari_defocus.labeling.blur_map import CURVE_WEIGHT
 from napari_defocus.labeling.continuous_refinement import refine_curves
 from napari_defocus.labeling.data_term import informed_share
 from napari_defocus.labeling.graph_cuts import Labels, Mask, Places, minimize_energy
-from napari_defocus.labeling.pixel_refinement import (
-    Blocks,
-    ChangeAt,
-    interpolate_labels,
-    label_pixels,
-)
+from napari_defocus.labeling.pairwise_term import Blocks
+from napari_defocus.labeling.pixel_refinement import ChangeAt, interpolate_labels, label_pixels
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 
 Float32 = NDArray[np.float32]

@@ -22,7 +22,7 @@ from napari_defocus.core.image import PreparedImage, checked_range, prepare_imag
 from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
 from napari_defocus.core.known_pixels import limits_of
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.labeling.pixel_refinement import Blocks
+from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.exact_spectra import check_windows
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import Disc, PSFFamily

@@ -1,29 +1,26 @@
-"""Stacks, and pictures larger than memory: the same results part by part, by dask.
+"""Candidates of stacks, and of pictures larger than memory: the same results, tile by tile.
 
-A plane that is one part is worked on as a whole. Of a larger one, every part is looked at twice.
-The survey adds up the costs of its windows into those of cells of 4 x 4 windows; the cells of the
-whole plane are labelled at once, which is what decides over long distances. Then each part, with
-three windows around, is labelled from there on, its rim held to the cells' labels, and parts go
-over into each other. A task takes pixels and returns maps, so that memory is bounded by parts.
+A plane that is one tile is worked on as a whole. Of a larger one, every tile is looked at twice.
+The coarse pass adds up the data terms of its windows into those of cells of 4 x 4 windows; the
+cells of the whole plane are labelled at once, which is what decides over long distances. Then each
+tile, with a halo of three windows, is labelled from there on, its rim held to the cells' labels,
+and tiles are blended over their margins. A task takes pixels and returns maps, so that memory is
+bounded by tiles.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import Any
 
-import dask
 import numpy as np
 from dask import delayed
-from dask.callbacks import Callback
 from dask.delayed import Delayed
 from numpy.typing import DTypeLike, NDArray
 
-from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
-from napari_defocus.core.known_pixels import known_values, limits_of
+from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.likelihood.blur_spectra import label_scales
 from napari_defocus.likelihood.estimation import Estimation, Search
@@ -31,10 +28,12 @@ from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import RestorationSettings
+from napari_defocus.tiled.computing import computed, run_tasks
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
+from napari_defocus.tiled.plane_noise import noise_of_plane
 from napari_defocus.tiled.tile_graph import (
-    PartGraph,
-    Parts,
+    TileGraph,
+    Tiles,
     after,
     pixels,
     placed,
@@ -42,39 +41,17 @@ from napari_defocus.tiled.tile_graph import (
 )
 from napari_defocus.tiled.tile_tasks import (
     Noise,
-    Preparing,
     Wanted,
     blend_named,
+    coarse_pass,
+    confidence_pass,
     join_cells,
-    join_intensities,
-    judge_part,
     label_cells,
-    look_at_noise,
-    measure_part,
+    measure_tile,
     noise_with_variance,
-    survey_part,
-    windows_of_part,
+    windows_of_tile,
 )
-from napari_defocus.tiled.tiles import Cutting, Part, neighbors
-
-_THREADS = min(4, os.cpu_count() or 1)
-"""Of dask's threads: each part has all of numba's, and takes its share of memory."""
-
-_STEP = "Measuring part by part"
-
-_TIMES = {"measured-": 1.0, "surveyed-": 0.4, "noise-": 0.02, "intensities-": 0.01}
-_SHORT = 0.002
-"""How long tasks take: the share that is done is one of time, so that the rest can be told."""
-
-
-_WHOLE = 4_000_000
-"""px of a plane up to which the noise is measured everywhere."""
-
-_PIECES, _PIECE, _EVERY = 8, 512, 3
-"""Of a larger one, in so many pieces a side of so many px, at every third pixel."""
-
-_EVERY_INTENSITY = 25
-"""And there, the contrast is that of so few pixels."""
+from napari_defocus.tiled.tiles import Tile, Tiling, neighbors
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +71,7 @@ class LazyCandidates:
     noise_variance : float, ShotNoise or None
         As given.
     block_size : int
-        Side of the parts of a plane, in px.
+        Side of the tiles of a plane, in px.
     found_noise : mapping of tuple to Noise
         That of each plane by its index, if it was found before, see `with_noise`.
     """
@@ -164,7 +141,7 @@ class LazyCandidates:
     def _asked_noise(self, index: Index) -> Any:
         """Return the noise of a plane with its variance, which a small plane finds by itself."""
         noise = self.noise(index)
-        if index in self.found_noise or not self._cutting.alone:
+        if index in self.found_noise or not self._tiling.alone:
             return noise
         return delayed(noise_with_variance)(self.planes.plane(index), self.estimation, noise)
 
@@ -188,23 +165,23 @@ class LazyCandidates:
     def judged(self, blur_map: Any, risk: float = RestorationSettings.risk) -> dict[str, Any]:
         """Return `confidence_map` and `cautious_blur_map` of any map, (..., H, W), by name."""
         radii = self.planes.belonging("blur_map", blur_map)
-        parts = self._cutting.parts()
+        tiles = self._tiling.tiles()
 
         def of_plane(index: Index) -> dict[str, Any]:
             plane, radius, noise = self.planes.plane(index), radii[index], self.noise(index)
-            graph = PartGraph.of("judged", [plane, radius, noise], self._made_with, risk)
-            for part, place in placed(parts):
-                seen = pixels(plane, part.pixels), pixels(radius, part.pixels), part
-                graph.add(place, judge_part, *seen, graph.key_of(noise), self._frugal, risk)
-            return {name: _picked(graph, parts, name) for name in ("confidence", "cautious")}
+            graph = TileGraph.of("confidence", [plane, radius, noise], self._made_with, risk)
+            for tile, place in placed(tiles):
+                seen = pixels(plane, tile.pixels), pixels(radius, tile.pixels), tile
+                graph.add(place, confidence_pass, *seen, graph.key_of(noise), self._frugal, risk)
+            return {name: _picked(graph, tiles, name) for name in ("confidence", "cautious")}
 
         found = self.planes.each(of_plane)
         return computed(found, silent) if self.planes.in_memory else found
 
     @property
-    def _cutting(self) -> Cutting:
+    def _tiling(self) -> Tiling:
         how = self.estimation
-        return Cutting(self.image_shape, how.window, how.stride, self.block_size)
+        return Tiling(self.image_shape, how.window, how.stride, self.block_size)
 
     @property
     def _frugal(self) -> Estimation:
@@ -217,251 +194,88 @@ class LazyCandidates:
         return self.estimation, self.noise_variance, self.block_size
 
     def noise(self, index: Index) -> Any:
-        """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
+        """Return the noise of a plane as its tiles need it: a `Noise`, or a delayed one."""
         if index in self.found_noise:
             return self.found_noise[index]
-        if self._cutting.alone:
+        if self._tiling.alone:
             return Noise(self.noise_variance)
         return noise_of_plane(self.planes.plane(index), self.noise_variance, self.estimation)
 
     def _measured(self, index: Index, wanted: Wanted, seeds: Any) -> dict[str, Any]:
         plane, noise = self.planes.plane(index), self.noise(index)
         cells = None
-        if not self._cutting.alone:
+        if not self._tiling.alone:
             read = after(plane, noise) if isinstance(noise, Delayed) else plane
             cells = self._labels_of_cells(read, noise, wanted, seeds)
             plane = after(plane, cells)
-        parts = self._cutting.parts()
+        tiles = self._tiling.tiles()
         sources = [plane, noise, seeds, cells]
-        graph = PartGraph.of("measured", sources, self._made_with, wanted)
-        for part, place in placed(parts):
-            seen = pixels(plane, part.pixels), _seeds_of(seeds, part), part, self._cutting.levels
+        graph = TileGraph.of("measured", sources, self._made_with, wanted)
+        for tile, place in placed(tiles):
+            seen = pixels(plane, tile.pixels), _seeds_of(seeds, tile), tile, self._tiling.levels
             known = graph.key_of(cells), graph.key_of(noise)
-            graph.add(place, measure_part, *seen, *known, self._frugal, wanted)
+            graph.add(place, measure_tile, *seen, *known, self._frugal, wanted)
 
         return {
-            name: _blended(graph, parts, name)
+            name: _blended(graph, tiles, name)
             if dtype is np.float32
-            else _picked(graph, parts, name, dtype)
+            else _picked(graph, tiles, name, dtype)
             for name, dtype in wanted.dtypes.items()
         }
 
     def _labels_of_cells(self, plane: Any, noise: Any, wanted: Wanted, seeds: Any) -> Any:
         """Return the labels of the whole plane's cells, delayed."""
-        graph = PartGraph.of("surveyed", [plane, noise, seeds], self._made_with, wanted)
-        parts, levels = self._cutting.parts(survey=True), self._cutting.levels
+        graph = TileGraph.of("coarse", [plane, noise, seeds], self._made_with, wanted)
+        tiles, levels = self._tiling.tiles(coarse=True), self._tiling.levels
         how = graph.key_of(noise), self._frugal, wanted
         rows: list[Any] = []
-        for number, line in enumerate(parts):
-            # Row after row: all at once, dask would read the whole plane before it surveys much.
+        for number, line in enumerate(tiles):
+            # Row after row: all at once, dask would read the whole plane before much is done.
             before = rows[-2] if number > 1 else None
-            surveys = []
-            for column, part in enumerate(line):
-                seen = pixels(plane, part.pixels), _seeds_of(seeds, part), part, levels
-                task = survey_part, *seen, *how
-                surveys.append(graph.add((number, column), when_there, task, before))
+            costs = []
+            for column, tile in enumerate(line):
+                seen = pixels(plane, tile.pixels), _seeds_of(seeds, tile), tile, levels
+                task = coarse_pass, *seen, *how
+                costs.append(graph.add((number, column), when_there, task, before))
             last = rows[-1] if rows else None
-            rows.append(graph.add(("row", number), when_there, (join_cells, surveys, 1), last))
+            rows.append(graph.add(("row", number), when_there, (join_cells, costs, 1), last))
         return graph.value(graph.add("cells", label_cells, rows))
 
     def _of_windows(self, name: str, length: int, *, search: Search | None) -> Any:
-        parts, how = self._cutting.parts(survey=True), replace(self.estimation, search=search)
+        tiles, how = self._tiling.tiles(coarse=True), replace(self.estimation, search=search)
 
         def of_plane(index: Index) -> dict[str, Any]:
             plane, noise = self.planes.plane(index), self.noise(index)
-            graph = PartGraph.of(f"{name}-of", [plane, noise], self._made_with, search)
+            graph = TileGraph.of(f"{name}-of", [plane, noise], self._made_with, search)
 
             def task_of(row: int, column: int) -> Any:
-                part = parts[row][column]
-                seen = pixels(plane, part.pixels), part
-                return windows_of_part, *seen, graph.key_of(noise), how, name
+                tile = tiles[row][column]
+                seen = pixels(plane, tile.pixels), tile
+                return windows_of_tile, *seen, graph.key_of(noise), how, name
 
-            def shape_of(part: Part) -> tuple[int, ...]:
-                return (*part.own_windows, length)
+            def shape_of(tile: Tile) -> tuple[int, ...]:
+                return (*tile.core_windows, length)
 
-            return {name: graph.array(name, parts, task_of, np.float32, shape_of)}
+            return {name: graph.array(name, tiles, task_of, np.float32, shape_of)}
 
         return self.planes.each(of_plane)[name]
 
 
-def _picked(graph: PartGraph, parts: Parts, name: str, dtype: DTypeLike = np.float32) -> Any:
-    """Return one result of all parts: a dask array."""
-    return graph.array(name, parts, lambda *place: (itemgetter(name), (graph.name, *place)), dtype)
+def _picked(graph: TileGraph, tiles: Tiles, name: str, dtype: DTypeLike = np.float32) -> Any:
+    """Return one result of all tiles: a dask array."""
+    return graph.array(name, tiles, lambda *place: (itemgetter(name), (graph.name, *place)), dtype)
 
 
-def _blended(graph: PartGraph, parts: Parts, name: str) -> Any:
-    """Return one result of all parts, which go over into each other: a dask array."""
+def _blended(graph: TileGraph, tiles: Tiles, name: str) -> Any:
+    """Return one result of all tiles, blended over their margins: a dask array."""
 
     def task_of(row: int, column: int) -> tuple[Any, ...]:
-        at = list(neighbors(parts, row, column))
-        near, found = [parts[y][x] for y, x in at], [(graph.name, y, x) for y, x in at]
-        return blend_named, parts[row][column], near, found, name
+        at = list(neighbors(tiles, row, column))
+        near, found = [tiles[y][x] for y, x in at], [(graph.name, y, x) for y, x in at]
+        return blend_named, tiles[row][column], near, found, name
 
-    return graph.array(name, parts, task_of)
-
-
-def _seeds_of(seeds: Any, part: Part) -> Any:
-    return None if seeds is None else pixels(seeds, part.pixels)
+    return graph.array(name, tiles, task_of)
 
 
-def noise_of_plane(
-    plane: Any, given: float | ShotNoise | None, how: Preparing, intensities: Any = None
-) -> Any:
-    """Return the noise of a plane as its parts need it, delayed.
-
-    Parameters
-    ----------
-    plane : (H, W) or (H, W, C) dask.array.Array
-    given : float, ShotNoise or None
-        What is known of it.
-    how : Preparing
-    intensities : dask.delayed.Delayed, optional
-        Those of the plane, if they were asked for before.
-    """
-    if intensities is None:
-        intensities = intensities_of_plane(plane, how.intensity_range)
-    read, known = after(plane, intensities), PartGraph.key_of(intensities)
-    pieces, every = _noise_pieces(plane.shape[:2])
-    graph = PartGraph.of("noise", [read, intensities], given, how)
-    samples = [
-        graph.add(number, look_at_noise, pixels(read, piece), how, known, every)
-        for number, piece in enumerate(pieces)
-        if given is None or isinstance(given, ShotNoise)
-    ]
-    return graph.value(graph.add("of samples", Noise.of_samples, given, known, samples))
-
-
-def intensities_of_plane(
-    plane: Any, intensity_range: IntensityRange | None, limits: Any = None
-) -> Any:
-    """Return the intensities of a plane, delayed, as an array of it would have them.
-
-    Of planes above 4 megapixels, the contrast comes from as many pieces as the noise.
-
-    Parameters
-    ----------
-    plane : (H, W) or (H, W, C) dask.array.Array
-    intensity_range : (float, float) or None
-        As given.
-    limits : dask.delayed.Delayed, optional
-        `Limits` to go by instead of the plane's own.
-    """
-    graph = PartGraph.of("intensities", [plane, limits], intensity_range)
-    pieces, every = _noise_pieces(plane.shape[:2])
-    some = 1 if every == 1 else _EVERY_INTENSITY
-    values = [
-        graph.add(number, known_values, pixels(plane, piece), some)
-        for number, piece in enumerate(pieces)
-    ]
-    known = [graph.key_of(limits)]
-    if limits is None:
-        known = (
-            _limits_of_blocks(graph, plane) if needs_limits(plane.dtype, intensity_range) else []
-        )
-    found = join_intensities, plane.dtype, intensity_range, known, values
-    return graph.value(graph.add("of samples", *found))
-
-
-def limits_of_planes(planes: list[Any]) -> Any:
-    """Return the `Limits` of all planes of a stack, delayed: the range that they share."""
-    graph = PartGraph.of("limits", planes)
-    blocks = [key for plane in planes for key in _limits_of_blocks(graph, plane)]
-    return graph.value(graph.add("of all", Limits.joined, blocks))
-
-
-def _limits_of_blocks(graph: PartGraph, plane: Any) -> list[Any]:
-    """Add the tasks that look for the limits of each block of a plane; return their keys."""
-    rows, columns, *colors = plane.numblocks
-    return [
-        graph.add(
-            ("limits of", plane.name, *at), limits_of, (plane.name, *at, *(0 for _ in colors))
-        )
-        for at in np.ndindex(rows, columns)
-    ]
-
-
-def _noise_pieces(shape: tuple[int, int]) -> tuple[list[tuple[slice, slice]], int]:
-    """Return where the noise of a plane is looked at, and at every how many pixels."""
-    if shape[0] * shape[1] <= _WHOLE:
-        return [(slice(0, shape[0]), slice(0, shape[1]))], 1
-    rows, columns = (
-        [slice(start, start + _PIECE) for start in _starts(length)] for length in shape
-    )
-    return [(row, column) for row in rows for column in columns], _EVERY
-
-
-def sampled(image: Any) -> NDArray[Any]:
-    """Return pixels of a plane that tell of all of it: the plane, or pieces of a large one.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3 or 4) array-like
-        Of dask, or whatever has a shape and slices.
-
-    Returns
-    -------
-    ndarray
-        Up to 4096 px a side; pieces of 512 px are put together as they lie.
-    """
-    height, width = image.shape[:2]
-    if height * width <= _WHOLE:
-        return np.asarray(image)
-    rows = [
-        [np.asarray(image[row : row + _PIECE, at : at + _PIECE]) for at in _starts(width)]
-        for row in _starts(height)
-    ]
-    return np.concatenate([np.concatenate(row, axis=1) for row in rows])
-
-
-def _starts(length: int) -> list[int]:
-    count = min(_PIECES, max(1, length // _PIECE))
-    return [int(start) for start in np.linspace(0, max(length - _PIECE, 0), count)]
-
-
-def computed(arrays: dict[str, Any], progress: Progress) -> dict[str, NDArray[Any]]:
-    """Compute dask arrays together, by whichever scheduler is set, and report.
-
-    Parameters
-    ----------
-    arrays : dict of str to dask.array.Array
-    progress : callable
-        An exception from it ends the work.
-
-    Returns
-    -------
-    dict of str to ndarray
-    """
-    return dict(run_tasks(arrays, progress))
-
-
-def run_tasks(tasks: Any, progress: Progress, step: str = _STEP) -> Any:
-    """Compute delayed values together, by whichever scheduler is set, and report."""
-    progress(step, 0.0)
-    with _Reports(progress, step):
-        (done,) = dask.compute(tasks, num_workers=_THREADS)
-    progress(step, 1.0)
-    return done
-
-
-class _Reports(Callback):
-    """Reports how much dask's own schedulers have done; a cluster's tells nothing."""
-
-    def __init__(self, progress: Progress, step: str) -> None:
-        self._progress, self._step = progress, step
-        self._done = self._all = 0.0
-        super().__init__(start_state=self._begin, posttask=self._count)
-
-    def _begin(self, tasks: Any, state: Any) -> None:
-        self._all += sum(map(_time_of, state["dependencies"]))
-
-    def _count(self, key: Any, result: Any, tasks: Any, state: Any, worker: Any) -> None:
-        self._done += _time_of(key)
-        self._progress(self._step, min(1.0, self._done / self._all))
-
-
-def _time_of(key: Any) -> float:
-    """Return about how long a task takes, in parts of what measuring a part takes."""
-    name, *place = key if isinstance(key, tuple) else (key,)
-    if place[:1] == ["row"]:
-        return _SHORT
-    return next((time for begin, time in _TIMES.items() if str(name).startswith(begin)), _SHORT)
+def _seeds_of(seeds: Any, tile: Tile) -> Any:
+    return None if seeds is None else pixels(seeds, tile.pixels)

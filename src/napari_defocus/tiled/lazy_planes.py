@@ -18,7 +18,7 @@ Index = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class LazyPlanes:
-    """An image whose planes are computed one at a time, or part by part.
+    """An image whose planes are computed one at a time, or tile by tile.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The all-in-focus pictures of stacks, and of pictures larger than memory, part by part."""
+"""The all-in-focus pictures of stacks, and of pictures larger than memory, tile by tile."""
 
 from __future__ import annotations
 
@@ -13,36 +13,32 @@ from napari_defocus.core.intensity import needs_limits
 from napari_defocus.core.progress import Progress
 from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import MapSettings
-from napari_defocus.tiled.candidates import (
-    computed,
-    intensities_of_plane,
-    limits_of_planes,
-    noise_of_plane,
-)
+from napari_defocus.tiled.computing import computed
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
-from napari_defocus.tiled.tile_graph import PartGraph, after, pixels, placed
+from napari_defocus.tiled.plane_noise import intensities_of_plane, limits_of_planes, noise_of_plane
+from napari_defocus.tiled.tile_graph import TileGraph, after, pixels, placed
 from napari_defocus.tiled.tile_tasks import Noise
-from napari_defocus.tiled.tiles import Cutting, Part, blended, neighbors
+from napari_defocus.tiled.tiles import Tile, Tiling, blended, neighbors
 
 Float32 = NDArray[np.float32]
 
 _REACH = 64
-"""px around a part that have a say in it."""
+"""Halo of a restored tile, in px: 53 dB between tiles of 256 px and the whole picture."""
 
 
-def restore_part(
+def restore_tile(
     pixels: NDArray[Any],
     blur_map: NDArray[Any],
     confidence: NDArray[Any] | None,
-    part: Part,
+    tile: Tile,
     noise: Noise,
     how: Restoration,
 ) -> Float32:
-    """Restore what a part sees, and return its own pixels and those that it goes over into."""
+    """Restore what a tile sees, and return its core and margin."""
     how = replace(how, noise_variance=noise.known)
     picture = how.prepared(pixels, noise.intensities)
     restored = how.restored(pixels, picture, blur_map, confidence)
-    return restored[part.own(extended=True)].copy()
+    return restored[tile.core(margin=True)].copy()
 
 
 def restore_planes(
@@ -53,7 +49,7 @@ def restore_planes(
     block_size: int,
     progress: Progress,
 ) -> Any:
-    """Do the work of `restore_all_in_focus`, which see, plane by plane and part by part.
+    """Do the work of `restore_all_in_focus`, which see, plane by plane and tile by tile.
 
     Returns
     -------
@@ -62,31 +58,31 @@ def restore_planes(
     """
     radii = planes.belonging("blur_map", blur_map)
     sure = None if confidence is None else planes.belonging("confidence", confidence)
-    cutting = Cutting(planes.shape, MapSettings.window, MapSettings.stride, block_size)
-    parts = cutting.parts_that_see(_REACH)
+    tiling = Tiling(planes.shape, MapSettings.window, MapSettings.stride, block_size)
+    tiles = tiling.tiles_with_halo(_REACH)
     colors = planes.image.shape[-1:] if planes.has_colors else ()
     shared = _shared_limits(planes, how)
 
     def of_plane(index: Index) -> dict[str, Any]:
         plane, radius = planes.plane(index), radii[index]
-        noise = _noise(plane, how, shared, cutting.alone)
+        noise = _noise(plane, how, shared, tiling.alone)
         if isinstance(noise, Delayed):
             plane = after(plane, noise)
         certain = None if sure is None else sure[index]
-        graph = PartGraph.of("restored", [plane, radius, certain, noise], how, block_size)
-        for part, place in placed(parts):
-            known = pixels(plane, part.pixels), pixels(radius, part.pixels)
-            trusted = None if certain is None else pixels(certain, part.pixels)
-            graph.add(place, restore_part, *known, trusted, part, graph.key_of(noise), how)
+        graph = TileGraph.of("restored", [plane, radius, certain, noise], how, block_size)
+        for tile, place in placed(tiles):
+            known = pixels(plane, tile.pixels), pixels(radius, tile.pixels)
+            trusted = None if certain is None else pixels(certain, tile.pixels)
+            graph.add(place, restore_tile, *known, trusted, tile, graph.key_of(noise), how)
 
         def task_of(row: int, column: int) -> Any:
-            near = neighbors(parts, row, column)
-            return blended, parts[row][column], [[parts[y][x], (graph.name, y, x)] for y, x in near]
+            near = neighbors(tiles, row, column)
+            return blended, tiles[row][column], [[tiles[y][x], (graph.name, y, x)] for y, x in near]
 
-        def shape_of(part: Part) -> tuple[int, ...]:
-            return part.own_shape + colors
+        def shape_of(tile: Tile) -> tuple[int, ...]:
+            return tile.core_shape + colors
 
-        return {"restored": graph.array("in_focus", parts, task_of, np.float32, shape_of)}
+        return {"restored": graph.array("in_focus", tiles, task_of, np.float32, shape_of)}
 
     restored = planes.each(of_plane)
     return (computed(restored, progress) if planes.in_memory else restored)["restored"]
@@ -100,7 +96,7 @@ def _shared_limits(planes: LazyPlanes, how: Restoration) -> Any:
 
 
 def _noise(plane: Any, how: Restoration, shared: Any, alone: bool) -> Any:
-    """Return the noise of a plane as its parts need it: a `Noise`, or a delayed one."""
+    """Return the noise of a plane as its tiles need it: a `Noise`, or a delayed one."""
     given = how.noise_variance
     if alone and shared is None:
         return Noise(given)
@@ -109,5 +105,5 @@ def _noise(plane: Any, how: Restoration, shared: Any, alone: bool) -> Any:
     intensities = intensities_of_plane(plane, how.intensity_range, shared)
     if not alone:
         return noise_of_plane(plane, given, how, intensities)
-    graph = PartGraph.of("noise", [intensities], given)
+    graph = TileGraph.of("noise", [intensities], given)
     return graph.value(graph.add("alone", Noise, given, None, graph.key_of(intensities)))

@@ -1,7 +1,7 @@
-"""Graphs of what is done to the parts of a picture, written down task by task.
+"""Graphs of what is done to the tiles of a picture, written down task by task.
 
-With dask's own slices and delayed functions, each part would have the whole graph looked through
-again: minutes, for a hundred megapixels. Here, a part's task takes the blocks of the picture that
+With dask's own slices and delayed functions, each tile would have the whole graph looked through
+again: minutes, for a hundred megapixels. Here, a tile's task takes the blocks of the picture that
 it sees, and cuts out its pixels itself.
 """
 
@@ -21,9 +21,9 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import DTypeLike, NDArray
 
 from napari_defocus.core.known_pixels import joined_pieces
-from napari_defocus.tiled.tiles import Part
+from napari_defocus.tiled.tiles import Tile
 
-Parts = list[list[Part]]
+Tiles = list[list[Tile]]
 Region = tuple[Any, ...]
 Key = tuple[Any, ...]
 
@@ -48,14 +48,14 @@ def cut_out(
     return joined_pieces([joined_pieces(line, axis=1) for line in lines], axis=0)
 
 
-def _covering(lengths: tuple[int, ...], part: slice) -> tuple[list[int], list[slice]]:
-    """Return which blocks of an axis hold a part of it, and what of each is wanted."""
+def _covering(lengths: tuple[int, ...], tile: slice) -> tuple[list[int], list[slice]]:
+    """Return which blocks of an axis hold a stretch of it, and what of each is wanted."""
     stops = np.cumsum(lengths)
-    first, last = np.searchsorted(stops, [part.start, part.stop - 1], side="right")
+    first, last = np.searchsorted(stops, [tile.start, tile.stop - 1], side="right")
     numbers = list(range(int(first), int(last) + 1))
     starts = [int(stops[number]) - lengths[number] for number in numbers]
     slices = [
-        slice(max(part.start - start, 0), min(part.stop - start, lengths[number]))
+        slice(max(tile.start - start, 0), min(tile.stop - start, lengths[number]))
         for number, start in zip(numbers, starts, strict=True)
     ]
     return numbers, slices
@@ -70,8 +70,8 @@ def pixels(plane: Any, region: tuple[slice, slice]) -> tuple[Any, ...]:
 
 
 @dataclass(frozen=True)
-class PartGraph:
-    """What is done to the parts of one plane.
+class TileGraph:
+    """What is done to the tiles of one plane.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class PartGraph:
     tasks: dict[Key, tuple[Any, ...]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, kind: str, sources: list[Any], *made_with: Any) -> PartGraph:
+    def of(cls, kind: str, sources: list[Any], *made_with: Any) -> TileGraph:
         """Begin a graph that is known by what it is made of; sources may be no collections."""
         lazy = [source for source in sources if dask.is_dask_collection(source)]
         return cls(f"{kind}-{dask.base.tokenize(sources, *made_with)}", lazy)
@@ -111,16 +111,16 @@ class PartGraph:
     def array(
         self,
         name: str,
-        parts: Parts,
+        tiles: Tiles,
         task_of: Callable[[int, int], tuple[Any, ...]],
         dtype: DTypeLike = np.float32,
-        shape_of: Callable[[Part], tuple[int, ...]] = lambda part: part.own_shape,
+        shape_of: Callable[[Tile], tuple[int, ...]] = lambda tile: tile.core_shape,
     ) -> Any:
-        """Return a dask array with a block for each part, at its row and column."""
+        """Return a dask array with a block for each tile, at its row and column."""
         own = f"{name}-{self.name}"
-        shapes = [[shape_of(part) for part in row] for row in parts]
+        shapes = [[shape_of(tile) for tile in row] for row in tiles]
         more = shapes[0][0][2:]
-        places = np.ndindex(len(parts), len(parts[0]))
+        places = np.ndindex(len(tiles), len(tiles[0]))
         blocks = {(own, *place, *(0 for _ in more)): task_of(*place) for place in places}
         layers, dependencies = self._layers()
         graph = HighLevelGraph(layers | {own: blocks}, dependencies | {own: {self.name}})
@@ -178,11 +178,11 @@ def when_there(result: Any, _: Any) -> Any:
     return result
 
 
-def placed(parts: Parts) -> Iterator[tuple[Part, tuple[int, int]]]:
-    """Return each part, and its row and column."""
-    for row, line in enumerate(parts):
-        for column, part in enumerate(line):
-            yield part, (row, column)
+def placed(tiles: Tiles) -> Iterator[tuple[Tile, tuple[int, int]]]:
+    """Return each tile, and its row and column."""
+    for row, line in enumerate(tiles):
+        for column, tile in enumerate(line):
+            yield tile, (row, column)
 
 
 def cut_together(arrays: dict[str, Any], regions: Iterable[Region]) -> list[dict[str, Any]]:

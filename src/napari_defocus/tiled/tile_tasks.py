@@ -1,4 +1,4 @@
-"""What is done to one part of a picture: the tasks of which `blocks` makes a graph."""
+"""What is done to one tile of a picture: the tasks of which graphs are made."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from napari_defocus.likelihood.noise import (
 )
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.tiled.tiles import Part, blended
+from napari_defocus.tiled.tiles import Tile, blended
 
 Float32 = NDArray[np.float32]
 Problem = tuple[Float32, Float32]
@@ -51,9 +51,9 @@ class Noise:
     given : float, ShotNoise or None
         By the user.
     variance : float or None
-        Its mean over the plane, if a part alone does not know it.
+        Its mean over the plane, if a tile alone does not know it.
     intensities : Intensities or None
-        Of the plane, if a part alone does not know them.
+        Of the plane, if a tile alone does not know them.
     """
 
     given: float | ShotNoise | None
@@ -136,7 +136,7 @@ class Wanted:
     def problems(
         self, problem: LabelingProblem, levels: int, seeds: NDArray[Any] | None
     ) -> dict[str, Problem]:
-        """Return what the cells of a part cost: for the map, and for the mask."""
+        """Return what the cells of a tile cost: for the map, and for the mask."""
         found: dict[str, Problem] = {}
         if self.map is not None:
             found["blur_map"] = coarse_problem(problem, levels, self.map)
@@ -147,7 +147,7 @@ class Wanted:
     def measure(
         self, problem: LabelingProblem, around: dict[str, CoarseLabels], seeds: NDArray[Any] | None
     ) -> Found:
-        """Return all that is asked for of a part, everywhere that it sees."""
+        """Return all that is asked for of a tile, everywhere that it sees."""
         found: Found = {}
         if self.map is not None:
             blur_map = labeled_blur_map(problem, self.map, around=around.get("blur_map"))
@@ -183,38 +183,38 @@ def look_at_noise(
 
 
 def noise_with_variance(pixels: NDArray[Any], how: Preparing, noise: Noise) -> Noise:
-    """Return the noise of a plane that is one part, with its variance and its intensities."""
+    """Return the noise of a plane that is one tile, with its variance and its intensities."""
     picture = how.prepared(pixels, noise.intensities)
     variance = noise.of(picture)[0]
     return Noise(noise.given, variance, picture.intensities.above_noise(variance))
 
 
-def survey_part(
+def coarse_pass(
     pixels: NDArray[Any],
     seeds: NDArray[Any] | None,
-    part: Part,
+    tile: Tile,
     levels: int,
     noise: Noise,
     how: Estimation,
     wanted: Wanted,
 ) -> dict[str, Problem]:
-    """Return what the cells of a part cost, its own ones."""
+    """Return what the cells of the core of a tile cost: the coarse pass."""
     problem = LabelingProblem.of(candidates_of_tile(pixels, noise, how), pixels)
-    own = part.own_cells(levels)
+    own = tile.core_cells(levels)
     return {
         name: (data[own].copy(), weights[:, *own].copy())
         for name, (data, weights) in wanted.problems(problem, levels, seeds).items()
     }
 
 
-def join_cells(surveys: list[dict[str, Problem]], axis: int) -> dict[str, Problem]:
+def join_cells(costs: list[dict[str, Problem]], axis: int) -> dict[str, Problem]:
     """Put what cells beside each other cost together, along rows, 0, or columns, 1."""
     return {
         name: (
-            np.concatenate([one[name][0] for one in surveys], axis=axis),
-            np.concatenate([one[name][1] for one in surveys], axis=axis + 1),
+            np.concatenate([one[name][0] for one in costs], axis=axis),
+            np.concatenate([one[name][1] for one in costs], axis=axis + 1),
         )
-        for name in surveys[0]
+        for name in costs[0]
     }
 
 
@@ -230,51 +230,51 @@ def _minimized(data: Float32, weights: Float32) -> NDArray[np.int32]:
     return minimize_energy(data, weights, finest=False)
 
 
-def measure_part(
+def measure_tile(
     pixels: NDArray[Any],
     seeds: NDArray[Any] | None,
-    part: Part,
+    tile: Tile,
     levels: int,
     cells: dict[str, NDArray[np.int32]] | None,
     noise: Noise,
     how: Estimation,
     wanted: Wanted,
 ) -> Found:
-    """Return what is asked for of a part: of its own pixels, and of those it goes over into."""
+    """Return what is asked for of a tile, in its core and, of what is blended, in its margin."""
     problem = LabelingProblem.of(candidates_of_tile(pixels, noise, how), pixels)
-    at = part.cells(levels)
+    at = tile.cells(levels)
     around = {
-        name: CoarseLabels(np.ascontiguousarray(labels[at]), part.own_cells(0), part.inner_sides)
+        name: CoarseLabels(np.ascontiguousarray(labels[at]), tile.core_cells(0), tile.inner_sides)
         for name, labels in (cells or {}).items()
     }
     found = wanted.measure(problem, around, seeds)
     return {
-        name: found[name][part.own(extended=dtype is np.float32)].copy()
+        name: found[name][tile.core(margin=dtype is np.float32)].copy()
         for name, dtype in wanted.dtypes.items()
     }
 
 
-def judge_part(
+def confidence_pass(
     pixels: NDArray[Any],
     blur_map: NDArray[Any],
-    part: Part,
+    tile: Tile,
     noise: Noise,
     how: Estimation,
     risk: float,
 ) -> Found:
-    """Return the confidence of a given map in a part, and what of it is safe to take away."""
+    """Return the confidence of a given map in the core of a tile, and what is safe to undo."""
     sure, safe = confidence_and_caution(candidates_of_tile(pixels, noise, how), blur_map, risk=risk)
-    return {"confidence": sure[part.own()].copy(), "cautious": safe[part.own()].copy()}
+    return {"confidence": sure[tile.core()].copy(), "cautious": safe[tile.core()].copy()}
 
 
-def windows_of_part(
-    pixels: NDArray[Any], part: Part, noise: Noise, how: Estimation, name: str
+def windows_of_tile(
+    pixels: NDArray[Any], tile: Tile, noise: Noise, how: Estimation, name: str
 ) -> Float32:
-    """Return an attribute of the candidates of a part's own windows."""
+    """Return an attribute of the candidates of the windows of a tile's core."""
     values: Float32 = getattr(candidates_of_tile(pixels, noise, how), name)
-    return values[part.own_cells(0)].copy()
+    return values[tile.core_cells(0)].copy()
 
 
-def blend_named(target: Part, near: list[Part], found: list[Found], name: str) -> Float32:
-    """Put a part together from what it and its neighbours say of it, see `parts.blended`."""
-    return blended(target, [(part, one[name]) for part, one in zip(near, found, strict=True)])
+def blend_named(target: Tile, near: list[Tile], found: list[Found], name: str) -> Float32:
+    """Put a tile together from what it and its neighbours say of it, see `tiles.blended`."""
+    return blended(target, [(tile, one[name]) for tile, one in zip(near, found, strict=True)])

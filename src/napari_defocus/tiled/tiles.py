@@ -1,4 +1,9 @@
-"""How a picture too large for one go is cut into parts that see enough around themselves."""
+"""How a picture is cut into tiles: a core, a halo around it, and a margin to blend over.
+
+The core of a tile is what it is responsible for; cores do not overlap. Its pixels are core and
+halo: what it must see for its core to come out as in the whole picture. Over a margin on both
+sides of a border between cores, one tile goes over into the next.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +16,37 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 
 MARGIN = 32
-"""px on both sides of a border over which one part goes over into the next."""
+"""px on both sides of a border between cores, over which tiles are blended.
 
-_SURVEY_REACH, _LABEL_REACH = 1.5, 3.0
-"""Of the window's side: from where on data terms are exact, and labels as in the whole."""
+Chosen by hand: wide enough that no border shows in maps (docs/decisions.md).
+"""
+
+_COARSE_HALO, _FINE_HALO = 1.5, 3.0
+"""Halos, in sides of a window: data terms are exact from 1.5 on; from 3 on, labels differ from
+those of the whole picture by 0.004 to 0.018 px on average, with twice the work they would by half
+(docs/decisions.md)."""
 
 _MOST_CELLS = 600_000
+"""Cells that are labelled at once: about 0.2 kB each in memory, chosen by hand."""
+
 _LEAST_LEVELS = 2
+"""Cells are of 4 x 4 windows or more: the third level of the multigrid labeling."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """A part of one axis: its own windows, and those that it sees.
+    """A tile along one axis: the windows of its core, and those that it sees.
 
     Attributes
     ----------
     start, stop : int
-        Its own windows.
+        Windows of its core.
     first, last : int
         With those around; multiples of the cells' size, but at the picture's end.
     pixels : (int, int)
         Those of the windows from `first` to `last`: the same windows, if looked at alone.
-    own : (int, int)
-        Pixels of its own.
+    core : (int, int)
+        Pixels of its core.
     length : int
         Of the picture, in px.
     """
@@ -43,7 +56,7 @@ class Span:
     first: int
     last: int
     pixels: tuple[int, int]
-    own: tuple[int, int]
+    core: tuple[int, int]
     length: int
 
     @property
@@ -52,14 +65,14 @@ class Span:
         return self.pixels[0] > 0, self.pixels[1] < self.length
 
     @property
-    def extended(self) -> tuple[int, int]:
-        """Pixels of its own, and as far beyond as it goes over into the next parts."""
-        low, high = self.own
+    def with_margin(self) -> tuple[int, int]:
+        """Pixels of its core and of the margin, in which it goes over into the next tiles."""
+        low, high = self.core
         return max(low - MARGIN, 0), min(high + MARGIN, self.length)
 
     def share(self, at: NDArray[np.int64]) -> Float32:
-        """Return how much this part counts at pixels, from 0 to 1; all parts add up to 1."""
-        low, high = self.own
+        """Return how much this tile counts at pixels, from 0 to 1; all tiles add up to 1."""
+        low, high = self.core
         rising = (at + 0.5 - low + MARGIN) / (2 * MARGIN)
         falling = (high + MARGIN - at - 0.5) / (2 * MARGIN)
         share = np.minimum(rising if low else 1.0, falling if high < self.length else 1.0)
@@ -67,8 +80,8 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part of a picture.
+class Tile:
+    """A tile of a picture.
 
     Attributes
     ----------
@@ -84,13 +97,13 @@ class Part:
         return slice(*self.rows.pixels), slice(*self.columns.pixels)
 
     @property
-    def own_shape(self) -> tuple[int, int]:
-        """Height and width of what it is responsible for, in px."""
-        return self.rows.own[1] - self.rows.own[0], self.columns.own[1] - self.columns.own[0]
+    def core_shape(self) -> tuple[int, int]:
+        """Height and width of its core, in px."""
+        return self.rows.core[1] - self.rows.core[0], self.columns.core[1] - self.columns.core[0]
 
     @property
-    def own_windows(self) -> tuple[int, int]:
-        """How many windows it has of its own: rows and columns."""
+    def core_windows(self) -> tuple[int, int]:
+        """How many windows its core has: rows and columns."""
         return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
 
     @property
@@ -99,16 +112,16 @@ class Part:
         (top, bottom), (left, right) = self.rows.goes_on, self.columns.goes_on
         return top, left, bottom, right
 
-    def own(self, *, extended: bool = False) -> tuple[slice, slice]:
-        """Return where its own pixels, or the extended ones, are in what it sees."""
+    def core(self, *, margin: bool = False) -> tuple[slice, slice]:
+        """Return where its core, or core and margin, are in what it sees."""
         return tuple(  # type: ignore[return-value]
             slice(low - span.pixels[0], high - span.pixels[0])
             for span in (self.rows, self.columns)
-            for low, high in [span.extended if extended else span.own]
+            for low, high in [span.with_margin if margin else span.core]
         )
 
-    def own_cells(self, levels: int) -> tuple[slice, slice]:
-        """Return where its own cells are among those that it sees."""
+    def core_cells(self, levels: int) -> tuple[slice, slice]:
+        """Return where the cells of its core are among those that it sees."""
         rows, columns = self.rows, self.columns
         return (
             _cells(rows.start - rows.first, rows.stop - rows.first, levels),
@@ -126,8 +139,8 @@ def _cells(start: int, stop: int, levels: int) -> slice:
 
 
 @dataclass(frozen=True)
-class Cutting:
-    """How a picture is cut.
+class Tiling:
+    """How a picture is cut into tiles.
 
     Attributes
     ----------
@@ -135,7 +148,7 @@ class Cutting:
         Height and width of the picture, in px.
     window, stride : int
     block_size : int
-        Side of a part's own pixels, in px; the last ones may be smaller.
+        Side of a tile's core, in px; the last ones may be smaller.
     """
 
     shape: tuple[int, int]
@@ -154,17 +167,17 @@ class Cutting:
 
     @property
     def alone(self) -> bool:
-        """Whether the picture is one part."""
+        """Whether the picture is one tile."""
         return len(self._spans(0, 0)) * len(self._spans(1, 0)) == 1
 
-    def parts(self, *, survey: bool = False) -> list[list[Part]]:
-        """Return rows of parts; for a survey, those that see just enough for the data term."""
-        return self.parts_that_see((_SURVEY_REACH if survey else _LABEL_REACH) * self.window)
+    def tiles(self, *, coarse: bool = False) -> list[list[Tile]]:
+        """Return rows of tiles; of the coarse pass, with a halo that is enough for data terms."""
+        return self.tiles_with_halo((_COARSE_HALO if coarse else _FINE_HALO) * self.window)
 
-    def parts_that_see(self, reach: float) -> list[list[Part]]:
-        """Return rows of parts that see so many px around themselves."""
+    def tiles_with_halo(self, reach: float) -> list[list[Tile]]:
+        """Return rows of tiles with a halo of so many px."""
         columns = self._spans(1, reach)
-        return [[Part(row, column) for column in columns] for row in self._spans(0, reach)]
+        return [[Tile(row, column) for column in columns] for row in self._spans(0, reach)]
 
     def _spans(self, axis: int, reach: float) -> list[Span]:
         length, stride = self.shape[axis], self.stride
@@ -183,36 +196,36 @@ class Cutting:
         return spans
 
 
-def neighbors(parts: list[list[Part]], row: int, column: int) -> Iterator[tuple[int, int]]:
-    """Return which parts reach into one's own pixels: itself and those around."""
-    for y in range(max(row - 1, 0), min(row + 2, len(parts))):
-        for x in range(max(column - 1, 0), min(column + 2, len(parts[0]))):
+def neighbors(tiles: list[list[Tile]], row: int, column: int) -> Iterator[tuple[int, int]]:
+    """Return which tiles reach into the core of one: itself and those around."""
+    for y in range(max(row - 1, 0), min(row + 2, len(tiles))):
+        for x in range(max(column - 1, 0), min(column + 2, len(tiles[0]))):
             yield y, x
 
 
-def blended(target: Part, pieces: list[tuple[Part, Float32]]) -> Float32:
-    """Put a part's own pixels together from what it and its neighbours say of them.
+def blended(target: Tile, pieces: list[tuple[Tile, Float32]]) -> Float32:
+    """Put the core of a tile together from what it and its neighbours say of it.
 
     Parameters
     ----------
-    target : Part
-    pieces : list of (Part, (h, w) or (h, w, C) float32 ndarray)
-        Each with what it says of its own pixels and those beyond, see `Span.extended`.
+    target : Tile
+    pieces : list of (Tile, (h, w) or (h, w, C) float32 ndarray)
+        Each with what it says of its core and margin, see `Span.with_margin`.
 
     Returns
     -------
     (h, w) or (h, w, C) float32 ndarray
     """
     colors = pieces[0][1].shape[2:]
-    result = np.zeros(target.own_shape + colors, np.float32)
-    for part, values in pieces:
+    result = np.zeros(target.core_shape + colors, np.float32)
+    for tile, values in pieces:
         into, out_of, shares = [], [], []
-        for own, span in zip((target.rows, target.columns), (part.rows, part.columns), strict=True):
-            low, high = max(own.own[0], span.extended[0]), min(own.own[1], span.extended[1])
-            into.append(slice(low - own.own[0], high - own.own[0]))
-            out_of.append(slice(low - span.extended[0], high - span.extended[0]))
+        for own, span in zip((target.rows, target.columns), (tile.rows, tile.columns), strict=True):
+            low, high = max(own.core[0], span.with_margin[0]), min(own.core[1], span.with_margin[1])
+            into.append(slice(low - own.core[0], high - own.core[0]))
+            out_of.append(slice(low - span.with_margin[0], high - span.with_margin[0]))
             shares.append(span.share(np.arange(low, high)))
-        if all(part.stop > part.start for part in into):
+        if all(tile.stop > tile.start for tile in into):
             share = np.outer(*shares).reshape(len(shares[0]), len(shares[1]), *(1 for _ in colors))
             result[tuple(into)] += share * values[tuple(out_of)]
     return result

@@ -152,10 +152,7 @@ class Analysed:
         **keywords
             Of the function.
         """
-        from napari_defocus.labeling.problem import (
-            UnknownProblemError,
-            with_problem,
-        )
+        from napari_defocus.labeling.problem import UnknownProblemError, with_problem
 
         def call(ingredients: Ingredients | None) -> Any:
             return run_elsewhere(

@@ -1,4 +1,4 @@
-"""Odd values for fuzz.py: pictures of every dtype and memory layout, and wrong arguments.
+"""Odd values for run.py: pictures of every dtype and memory layout, and wrong arguments.
 
 All functions take a `random.Random`: that of a seed, or one that hypothesis steers.
 """

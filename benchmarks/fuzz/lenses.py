@@ -4,11 +4,20 @@ import math
 from random import Random
 from typing import Any
 
-import fuzz_values as odd
 import numpy as np
-from fuzz_call import Call, anything_returned, family, light, map_for, measured_family, recipe, some
 
 import napari_defocus as nd
+from benchmarks.fuzz import values as odd
+from benchmarks.fuzz.call import (
+    Call,
+    anything_returned,
+    family,
+    light,
+    map_for,
+    measured_family,
+    recipe,
+    some,
+)
 
 
 def _family_call(make: Any, arguments: dict[str, Any], rnd: Random) -> Call:

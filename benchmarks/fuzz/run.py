@@ -1,6 +1,6 @@
 """Random calls of every public function and of the terminal command: what is not right or clear.
 
-    python benchmarks/fuzz.py --calls 10000 --seed 0
+    python -m benchmarks.fuzz.run --calls 10000 --seed 0
 
 Every call has to end in a right result (shape, dtype, range, no argument changed, no warning), or
 in an error that names the argument, within 10 s. Calls are made in a process of their own, so
@@ -11,24 +11,25 @@ the same call again: --only NAME NUMBER, beside the same seed.
 import argparse
 import multiprocessing
 import os
-import queue
 import sys
 import traceback
 from collections import Counter
+from collections.abc import Iterator
 from random import Random
-from typing import Any
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-from fuzz_calls import RECIPES, Call, random_call
-from fuzz_terminal import terminal_call
-from fuzz_verdict import LIMIT, Verdict, judged
+from pebble import ProcessExpired, ProcessPool
+
+from benchmarks.fuzz.call import RECIPES, Call, random_call
+from benchmarks.fuzz.terminal import terminal_call
+from benchmarks.fuzz.verdict import LIMIT, Verdict, judged
 
 TERMINAL = "the terminal command"
 NAMES = (*RECIPES, TERMINAL)
 
 _PATIENCE = 30 * LIMIT
-"""s without a word after which the process counts as hung; others may keep the machine busy."""
+"""s after which a call counts as hung; others may keep the machine busy."""
 
 _TERMINAL_SHARE = 5
 
@@ -45,7 +46,12 @@ def main() -> None:
         return
     names = arguments.only or [*RECIPES, *[TERMINAL] * _TERMINAL_SHARE]
     plan = [(names[i % len(names)], i) for i in range(arguments.calls)]
-    verdicts = list(_all_verdicts(plan, arguments.seed))
+    verdicts = []
+    for verdict in all_verdicts(plan, arguments.seed):
+        verdicts.append(verdict)
+        if not verdict.good:
+            print(f"{verdict.ended}: {verdict.name} {verdict.number} {verdict.told}"[:600])
+            sys.stdout.flush()
     print(table(verdicts))
     sys.exit(not all(verdict.good for verdict in verdicts))
 
@@ -56,51 +62,36 @@ def call_of(name: str, number: int, seed: int) -> Call:
     return terminal_call(rnd) if name == TERMINAL else random_call(name, rnd)
 
 
-def _all_verdicts(plan: list[tuple[str, int]], seed: int) -> Any:
-    """Make all calls, in a new process where one was lost, and tell at once of what is wrong."""
-    at = 0
-    while at < len(plan):
-        results: Any = multiprocessing.Queue()
-        worker = multiprocessing.Process(
-            target=_make_calls, args=(plan[at:], seed, results), daemon=True
-        )
-        worker.start()
-        while at < len(plan):
-            verdict = _next(results, worker, plan[at])
-            at += 1
-            if not verdict.good:
-                print(f"{verdict.ended}: {verdict.name} {verdict.number} {verdict.told}"[:600])
-                sys.stdout.flush()
-            yield verdict
-            if verdict.ended in ("crash", "hang"):
-                break
-        worker.kill()
-        worker.join()
+def all_verdicts(plan: list[tuple[str, int]], seed: int) -> Iterator[Verdict]:
+    """Make all calls, in a new process where one was lost."""
+    spawned = multiprocessing.get_context("spawn")
+    names = {name for name, _ in plan}
+    with ProcessPool(1, initializer=_warm_up, initargs=(names, seed), context=spawned) as pool:
+        made = [
+            (name, number, pool.schedule(_verdict, (name, number, seed), timeout=_PATIENCE))
+            for name, number in plan
+        ]
+        for name, number, future in made:
+            try:
+                yield future.result()
+            except TimeoutError:
+                yield Verdict(name, number, "hang", _PATIENCE)
+            except ProcessExpired as lost:
+                yield Verdict(name, number, "crash", 0.0, f"exit code {lost.exitcode}")
 
 
-def _next(results: Any, worker: Any, planned: tuple[str, int]) -> Verdict:
-    for _ in range(int(_PATIENCE)):
-        try:
-            return results.get(timeout=1)
-        except queue.Empty:
-            if worker.exitcode is not None and results.empty():
-                return Verdict(*planned, "crash", 0.0, f"exit code {worker.exitcode}")
-    return Verdict(*planned, "hang", _PATIENCE)
-
-
-def _make_calls(plan: list[tuple[str, int]], seed: int, results: Any) -> None:
-    # Kernels are compiled, and imports done, before time counts.
-    for name in dict(plan):
+def _warm_up(names: set[str], seed: int) -> None:
+    """Import and compile before time counts."""
+    for name in names:
         for number in range(-3, 0):
-            call = call_of(name, number, seed)
-            judged(name, number, call)
-        if plan[0][1] > 0:
-            break
-    for name, number in plan:
-        try:
-            results.put(judged(name, number, call_of(name, number, seed)))
-        except Exception:
-            results.put(Verdict(name, number, "fuzz.py failed", 0.0, traceback.format_exc()))
+            judged(name, number, call_of(name, number, seed))
+
+
+def _verdict(name: str, number: int, seed: int) -> Verdict:
+    try:
+        return judged(name, number, call_of(name, number, seed))
+    except Exception:
+        return Verdict(name, number, "run.py failed", 0.0, traceback.format_exc())
 
 
 def table(verdicts: list[Verdict]) -> str:
@@ -125,5 +116,4 @@ def table(verdicts: list[Verdict]) -> str:
 
 
 if __name__ == "__main__":
-    multiprocessing.set_start_method("spawn")
     main()

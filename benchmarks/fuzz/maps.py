@@ -5,9 +5,11 @@ import math
 from random import Random
 from typing import Any
 
-import fuzz_values as odd
 import numpy as np
-from fuzz_call import (
+
+import napari_defocus as nd
+from benchmarks.fuzz import values as odd
+from benchmarks.fuzz.call import (
     Call,
     any_scene,
     anything_returned,
@@ -21,8 +23,6 @@ from fuzz_call import (
     some,
     values_of,
 )
-
-import napari_defocus as nd
 
 NUMBERS = {"noise_variance": [None, 0.0, 1e-6, 1e-3, 1], "smoothness": [0, 5.0, 20, 1e6]}
 

@@ -1,4 +1,4 @@
-"""A random call: what goes in, and what must come out; `fuzz_calls` has those of all functions."""
+"""A random call: what goes in, and what must come out."""
 
 import functools
 import inspect
@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any
 
-import fuzz_values as odd
 import numpy as np
 
 import napari_defocus as nd
+from benchmarks.fuzz import values as odd
 
 
 @dataclass

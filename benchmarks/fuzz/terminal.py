@@ -1,4 +1,4 @@
-"""Random runs of the terminal command, inside of this process, for fuzz.py."""
+"""Random runs of the terminal command, inside of this process, for run.py."""
 
 import functools
 import io
@@ -10,13 +10,13 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import fuzz_values as odd
 import numpy as np
 import tifffile
-from fuzz_calls import Call
 from PIL import Image
 from typer.testing import CliRunner
 
+from benchmarks.fuzz import values as odd
+from benchmarks.fuzz.call import Call
 from napari_defocus.cli.app import app
 
 COMMANDS = ("map", "segment", "restore", "refocus", "depth", "explain", "sharpest")

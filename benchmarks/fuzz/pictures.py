@@ -5,9 +5,11 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import fuzz_values as odd
 import numpy as np
-from fuzz_call import (
+
+import napari_defocus as nd
+from benchmarks.fuzz import values as odd
+from benchmarks.fuzz.call import (
     Call,
     as_known,
     family,
@@ -18,8 +20,6 @@ from fuzz_call import (
     values_of,
     whole_picture,
 )
-
-import napari_defocus as nd
 
 
 @recipe("depth_surface")

@@ -1,4 +1,4 @@
-"""What fuzz.py asks of one call: a right result, or an error that names the argument."""
+"""What run.py asks of one call: a right result, or an error that names the argument."""
 
 import hashlib
 import re
@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fuzz_calls import Call, described
 
 import napari_defocus
+from benchmarks.fuzz.call import Call, described
 
 LIMIT = 10.0
 """s that a call may take; of the processor, too, as others may keep it busy."""
 
 _PACKAGE = str(Path(napari_defocus.__file__).parent)
 
-_LINES = {str(path): path.read_text("utf-8").splitlines() for path in Path(_PACKAGE).glob("*.py")}
+_LINES = {str(path): path.read_text("utf-8").splitlines() for path in Path(_PACKAGE).rglob("*.py")}
 """Of the package as it is imported: somebody may edit it while calls are made."""
 
 

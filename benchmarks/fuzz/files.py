@@ -7,9 +7,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from fuzz_call import Call, anything_returned, measured_family, recipe, some
-
 import napari_defocus as nd
+from benchmarks.fuzz.call import Call, anything_returned, measured_family, recipe, some
 from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 
