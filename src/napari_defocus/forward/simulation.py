@@ -22,10 +22,15 @@ def simulate_defocus(
     rng: int | np.random.Generator | None = None,
     intensity_range: tuple[float, float] | None = None,
 ) -> Float32:
-    """Blur a sharp picture by a map of scales and add noise, as (1) has it.
+    r"""Blur a sharp picture by a map of scales and add noise, as (1) has it.
 
-    Every output pixel gathers from its neighbours with the PSF of its own scale:
-    g[x] = sum_u h_{r(x)}[u] f[x - u] + n[x]. The picture is mirrored at its border.
+    Every output pixel gathers from its neighbours with the PSF of its own scale,
+
+    .. math:: g[\mathbf{x}] = \sum_{\mathbf{u}} h_{r(\mathbf{x})}[\mathbf{u}]
+        f[\mathbf{x} - \mathbf{u}] + n[\mathbf{x}], \qquad
+        n[\mathbf{x}] \sim \mathcal{N}(0, \sigma_n^2) \tag{1}
+
+    The picture is mirrored at its border.
 
     Parameters
     ----------

@@ -24,7 +24,14 @@ Float64 = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class BlurCandidates:
-    """What the windows of one picture say about the blur, and what made it.
+    r"""What the windows of one picture say about the blur, and what made it.
+
+    The likelihood of a scale r is that of the local powers :math:`|g_i^{\nabla}|^2`, with the best
+    variance s of the sharp picture's gradients, the blur spectrum (6) and the noise spectrum (7):
+
+    .. math:: p(r) \propto \max_s \prod_i \frac{1}{v_i}
+        \exp\left(-\frac{|g_i^{\nabla}|^2}{v_i}\right), \qquad
+        v_i = s \, \sigma_i^2(r) + \sigma_{ni}^2 \tag{9}
 
     R x C windows lie `stride` px apart; one stands for the pixels around its centre.
 

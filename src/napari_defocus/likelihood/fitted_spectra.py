@@ -158,7 +158,7 @@ def _end_of_point(psf: PSFFamily) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FitReport:
-    """How close the fit (12) comes to the spectra (6).
+    """How close the fit (12) comes to the spectra (6), from `fit_report`.
 
     Attributes
     ----------
@@ -216,7 +216,11 @@ def _error_rows(name: str, values: Float64, width: float, errors: Float64) -> li
 def fit_report(
     psf: PSFFamily | Callable[[float], ArrayLike], window: int = MapSettings.window
 ) -> FitReport:
-    """Compare the fit (12) of a family's spectra with the spectra (6) themselves.
+    r"""Compare the fit (12) of a family's spectra with the spectra (6) themselves.
+
+    .. math:: \tilde{\sigma}_i^2(r) = \exp\left(\sum_{k=p}^{q} \alpha_{i,k} r^k\right) \tag{12}
+
+    .. math:: \sigma_i^2(r) = \sum_{\mathbf{x}} |(h(r) \otimes t_i)[\mathbf{x}]|^2 \tag{6}
 
     Parameters
     ----------

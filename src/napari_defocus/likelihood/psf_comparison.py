@@ -99,12 +99,18 @@ def compare_psf(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> PSFComparison:
-    """Compare how well PSF families explain a picture.
+    r"""Compare how well PSF families explain a picture.
 
-    The evidence of a family in a window is the mean of p(r) of (9) over all its scales. What a
-    family loses to the best one counts up to a limit, so that the few windows that no family
-    explains do not decide. Differences of families are visible from about 2 px of blur on, in
-    texture with little noise.
+    The evidence of a family in a window is the mean of p(r) of (9) over its R scales, which is a
+    flat prior on them. What a family loses to the best one is the mean over windows of
+
+    .. math:: \min\left(\max_j \log e_j - \log e, \, 10\right), \qquad
+        e = \frac{1}{R} \sum_r p(r), \qquad
+        p(r) = \max_s \prod_i \frac{1}{v_i} \exp\left(-\frac{|g_i^{\nabla}|^2}{v_i}\right), \qquad
+        v_i = s \, \sigma_i^2(r) + \sigma_{ni}^2
+
+    It counts up to a limit, so that the few windows that no family explains do not decide.
+    Differences of families are visible from about 2 px of blur on, in texture with little noise.
 
     Parameters
     ----------

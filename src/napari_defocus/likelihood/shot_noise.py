@@ -34,14 +34,16 @@ _EVERY = 7
 
 @dataclass(frozen=True)
 class ShotNoise:
-    """Noise whose variance grows with the intensity, as that of counted photons does.
+    r"""Noise whose variance grows with the intensity I, as that of counted photons does.
+
+    .. math:: \sigma_n^2(I) = \sigma_{\text{read}}^2 + \gamma \max(I, 0)
 
     Parameters
     ----------
     read_variance : float
-        Variance where the picture is black, intensities in [0, 1].
+        :math:`\sigma_{\text{read}}^2`: where the picture is black, intensities in [0, 1].
     gain : float
-        Growth of the variance from black to white: it is `read_variance` + `gain` * intensity.
+        :math:`\gamma`: growth of the variance from black to white.
 
     Raises
     ------
@@ -77,11 +79,17 @@ def estimate_shot_noise(
     linearize: Linearize | None = MapSettings.linearize,
     intensity_range: tuple[float, float] | None = None,
 ) -> ShotNoise:
-    """Find how the variance of the noise in a picture's luminance grows with the intensity.
+    r"""Find how the variance of the noise in a picture's luminance grows with the intensity.
 
-    The flattest places of each range of intensities give a variance, to which a line with
-    non-negative coefficients is fitted. On pictures that show JPEG's blocks it is scaled so
-    that its mean over the picture is `estimate_noise_variance`.
+    The flattest places of each range of intensities, with the mean I, give a variance
+    :math:`v_I`, see `estimate_noise_variance`, to which a line with non-negative coefficients is
+    fitted:
+
+    .. math:: \underset{\sigma_{\text{read}}^2, \, \gamma \, \ge \, 0}{\text{arg min}} \sum_I \left(
+        \frac{\sigma_{\text{read}}^2 + \gamma I}{v_I} - 1\right)^2
+
+    On pictures that show JPEG's blocks it is scaled so that its mean over the picture is
+    `estimate_noise_variance`.
 
     Parameters
     ----------

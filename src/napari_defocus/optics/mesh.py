@@ -1,4 +1,4 @@
-"""A map of distances, or of blur, as a surface of triangles, for 3-D viewers."""
+"""A map of distances, or of blur, as a mesh: a surface of triangles, for 3-D viewers."""
 
 from __future__ import annotations
 
@@ -55,14 +55,18 @@ def depth_surface(
     relief: float = 0.5,
     intensity_range: tuple[float, float] | None = None,
 ) -> DepthSurface:
-    """Make a surface of a map of distances, to be looked at in three dimensions.
+    r"""Make a surface of a map of distances, to be looked at in three dimensions.
 
-    It is a relief on top of the picture: z = relief max(H, W) (far - d) / (far - near), in px,
-    where near and far are the 1st and the 99th percentile of the distances d. So z is 0 at far
-    and the larger the nearer, which is towards you in napari's 3-D view as it first opens.
-    It is no scale model. What lies farther outside of near and far than they are apart is drawn
-    no farther out than that. The surface has a hole where a distance is infinite or NaN, and is
-    torn where distances jump.
+    It is a relief on top of the picture, in px,
+
+    .. math:: z = \text{relief} \cdot \max(H, W) \,
+        \frac{d_{\text{far}} - d}{d_{\text{far}} - d_{\text{near}}}
+
+    where near and far are the 1st and the 99th percentile of the distances d. So z is 0 at far and
+    the larger the nearer, which is towards you in napari's 3-D view as it first opens. It is no
+    scale model. What lies farther outside of near and far than they are apart is drawn no farther
+    out than that. The surface has a hole where a distance is infinite or NaN, and is torn where
+    distances jump.
 
     Parameters
     ----------

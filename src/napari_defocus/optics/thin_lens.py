@@ -24,13 +24,16 @@ _ROUNDING = float(np.finfo(np.float32).eps)
 
 @dataclass(frozen=True, kw_only=True)
 class ThinLens:
-    """An ideal lens, and how fine its picture is sampled.
+    r"""An ideal lens, and how fine its picture is sampled.
 
-    A point at the distance d has the blur radius ``r = K |d - s| / d``, in px, if the plane at the
-    distance s is in focus. With the focal length f, the f-number N and the pixel pitch p,
-    K = f^2 / (2 N p (s - f)), all lengths in one unit; with the focus at infinity,
-    r = f^2 / (2 N p d). A real lens has its distances from planes inside of it, a little apart
-    from each other, and its f changes when it focuses: close to the lens, both matter.
+    A point at the distance d has the blur radius r, in px, if the plane at the distance s is in
+    focus. With the focal length f, the f-number N and the pixel pitch p, all lengths in one unit,
+
+    .. math:: r = K \frac{|d - s|}{d}, \qquad K = \frac{f^2}{2 N p \, (s - f)}
+
+    With the focus at infinity, :math:`r = f^2 / (2 N p d)`. A real lens has its distances from
+    planes inside of it, a little apart from each other, and its f changes when it focuses: close
+    to the lens, both matter.
 
     Parameters
     ----------
@@ -183,14 +186,17 @@ def depth_from_blur(
     side: Side | ArrayLike = "far",
     psf: PSFFamily = Disc(),
 ) -> Float32:
-    """Turn blur into distance, for a thin lens.
+    r"""Turn blur into distance, for a thin lens.
 
-    With the radius r of the blur and s, K of `ThinLens`, a point beyond the focus lies at
-    d = s / (1 - r / K), one before it at d = s / (1 + r / K); with the focus at infinity at
-    d = f^2 / (2 N p r). A radius alone cannot say on which side of the focus a point lies: the
-    same blur belongs to one distance on either side. You choose, for the whole picture or for
-    each pixel. Radii below 0.5 px cannot be told from 0, so that near the focus distances are
-    rough.
+    With the radius r of the blur and s, K of `ThinLens`, a point lies at
+
+    .. math:: d = \frac{s}{1 - r / K} \text{ beyond the focus}, \qquad
+        d = \frac{s}{1 + r / K} \text{ before it}
+
+    and with the focus at infinity at :math:`d = f^2 / (2 N p r)`. A radius alone cannot say on
+    which side of the focus a point lies: the same blur belongs to one distance on either side. You
+    choose, for the whole picture or for each pixel. Radii below 0.5 px cannot be told from 0, so
+    that near the focus distances are rough.
 
     Parameters
     ----------
@@ -248,7 +254,9 @@ def depth_from_blur(
 
 
 def blur_from_depth(depth: ArrayLike, lens: ThinLens, *, psf: PSFFamily = Disc()) -> Float32:
-    """Turn distance into blur, for a thin lens: ``r = K |d - s| / d``, see `ThinLens`.
+    r"""Turn distance into blur, for a thin lens, see `ThinLens`.
+
+    .. math:: r = K \frac{|d - s|}{d}
 
     Parameters
     ----------

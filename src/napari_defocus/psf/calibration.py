@@ -46,7 +46,15 @@ def calibrate_psf(
     names: Sequence[str] | None = None,
     progress: Progress = silent,
 ) -> MeasuredPSF:
-    """Measure the PSF family of a lens from pictures at a few settings of its focus.
+    r"""Measure the PSF family of a lens from pictures at a few settings of its focus.
+
+    Of point sources, the kernel is what is seen, moved to its centroid, :math:`h = g / \sum g`.
+    Of a sharp picture f and a blurred one g, it is
+
+    .. math:: \hat{h} = \underset{h \ge 0}{\text{arg min}} \sum_{\mathbf{x}}
+        \left|(h \otimes f)[\mathbf{x}] - g[\mathbf{x}]\right|^2
+
+    normalised to sum 1. It is the calibration that Section III-A asks for.
 
     Parameters
     ----------

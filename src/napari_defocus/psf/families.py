@@ -65,9 +65,13 @@ class PSFFamily(Hashable, Protocol):
 
 @dataclass(frozen=True)
 class Disc:
-    """Uniform disc, the PSF of an ideal lens with a round aperture; its scale is the radius.
+    r"""Uniform disc, the PSF of an ideal lens with a round aperture; its scale is the radius.
 
-    A disc of a radius up to 0.5 px is a point.
+    .. math:: h(\mathbf{x}; r) = \frac{1}{\pi r^2} \text{ where } \|\mathbf{x}\| \le r,
+        \text{ else } 0
+
+    A pixel has the integral over its area. A disc of a radius up to 0.5 px is a point. It is the
+    model of the paper (Section IV).
 
     Parameters
     ----------
@@ -106,7 +110,14 @@ class Disc:
 
 @dataclass(frozen=True)
 class Annulus:
-    """Uniform ring, the PSF of a mirror lens; its scale is the outer radius.
+    r"""Uniform ring, the PSF of a mirror lens; its scale is the outer radius.
+
+    With the obstruction :math:`\epsilon`,
+
+    .. math:: h(\mathbf{x}; r) = \frac{1}{\pi r^2 (1 - \epsilon^2)}
+        \text{ where } \epsilon r \le \|\mathbf{x}\| \le r, \text{ else } 0
+
+    A pixel has the integral over its area.
 
     Parameters
     ----------
@@ -154,12 +165,16 @@ class Annulus:
 
 @dataclass(frozen=True)
 class Polygon:
-    """Regular polygon, the PSF of a leaf shutter (Section III-A).
+    r"""Regular polygon, the PSF of a leaf shutter (Section III-A).
 
-    Its scale is the radius of the disc of the same area, so that px mean the same as with
-    `Disc`; the corners lie sqrt(2 pi / (n sin(2 pi / n))) times as far out, 1.10 times for 6
-    blades. With an odd number of blades, the PSF in front of the focal plane is the one behind
-    it turned by 180 degrees; their spectra are the same.
+    Its scale r is the radius of the disc of the same area, so that px mean the same as with
+    `Disc`; the n corners lie at
+
+    .. math:: R = r \sqrt{\frac{2 \pi / n}{\sin(2 \pi / n)}},
+
+    1.10 times as far out for 6 blades. Inside, the PSF is :math:`1 / (\pi r^2)`; a pixel has the
+    integral over its area. With an odd number of blades, the PSF in front of the focal plane is
+    the one behind it turned by 180 degrees; their spectra are the same.
 
     Parameters
     ----------
@@ -218,9 +233,12 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Gaussian, for optics that diffraction and aberrations round off; its scale is sigma.
+    r"""Gaussian, for optics that diffraction and aberrations round off; its scale is sigma.
 
-    Cut off at 4 sigma.
+    .. math:: h(\mathbf{x}; \sigma) = \frac{1}{2 \pi \sigma^2}
+        \exp\left(-\frac{\|\mathbf{x}\|^2}{2 \sigma^2}\right)
+
+    A pixel has the integral over its area. Cut off at 4 sigma.
 
     Parameters
     ----------
@@ -263,13 +281,17 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class GeneralizedGaussian:
-    """The profile exp(-(rho / alpha)^exponent); its scale is the standard deviation on an axis.
+    r"""A profile from round to steep; its scale sigma is the standard deviation along an axis.
 
-    Exponent 2 is the Gaussian; the larger it is, the steeper the edge; infinity is a disc of
-    radius 2 sigma. alpha = 2 sigma sqrt(Gamma(1 + 2/exponent) / Gamma(1 + 4/exponent)) in terms
-    of the scale sigma. A profile that falls everywhere is a mixture of discs: here
-    t = (R / alpha)^exponent of their radii R has a gamma distribution of shape 1 + 2/exponent,
-    of which the last 1e-4 is left out.
+    With the exponent p,
+
+    .. math:: h(\mathbf{x}; \sigma) \propto \exp\left(-(\|\mathbf{x}\| / \alpha)^p\right),
+        \qquad \alpha = 2 \sigma \sqrt{\frac{\Gamma(1 + 2/p)}{\Gamma(1 + 4/p)}}
+
+    2 is the Gaussian; the larger p is, the steeper the edge; infinity is a disc of radius
+    2 sigma. A profile that falls everywhere is a mixture of discs: here
+    :math:`t = (R / \alpha)^p` of their radii R has a gamma distribution of shape 1 + 2/p, of
+    which the last 1e-4 is left out.
 
     Parameters
     ----------

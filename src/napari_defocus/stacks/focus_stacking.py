@@ -123,13 +123,21 @@ def sharpest_plane(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> SharpestPlane:
-    """Find where each pixel of a stack is in focus, and put the sharpest pixels together.
+    r"""Find where each pixel of a stack is in focus, and put the sharpest pixels together.
 
-    The planes are of one scene, at equal steps of the focus: a place in focus at z0 is blurred by a
-    radius of ``k |z - z0|`` px in plane z. How the local power of each place changes from plane to
-    plane gives k, and z0 to a small part of a plane, see `napari_defocus.stacks.depth_from_focus`.
-    The positions are made coherent as a blur map is, see `label_blur_map`, and follow the picture's
-    edges where they jump; where there is no texture, they are extrapolated from around.
+    It is depth from focus, and focus stacking. The planes are of one scene, at equal steps of the
+    focus: a place in focus at :math:`z_0` is blurred by a radius of :math:`k |z - z_0|` px in
+    plane z. The power :math:`P_{zf}` that is seen at the frequency f in plane z is that of the
+    scene, :math:`S_f`, times the blur spectrum (6), and that of the noise (7). The cost of a
+    position is the deviance of (5),
+
+    .. math:: \sum_{z, f} \left(q_{zf} - 1 - \log q_{zf}\right), \qquad q_{zf} =
+        \frac{P_{zf}}{S_f \, \sigma_f^2(k |z - z_0|) + \sigma_{nf}^2}
+
+    with the best :math:`S_f`, the same in all planes. It gives k, and :math:`z_0` to a small part
+    of a plane, see `napari_defocus.stacks.depth_from_focus`. The positions are made coherent as a
+    blur map is, see `label_blur_map`, and follow the picture's edges where they jump; where there
+    is no texture, they are extrapolated from around.
 
     Planes are read one at a time, two to four times each, and never all at once.
 
