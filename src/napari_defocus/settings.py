@@ -174,7 +174,10 @@ class RefocusSettings:
     side : {"far", "near"}
         On which side of the old focus everything blurred lies.
     linearize : {"srgb"} or None
-        Decode into linear light, blur there, and encode again.
+        Decode into linear light, blur there, and encode again. Not the default of `MapSettings`:
+        what is measured may be a scan or a microscope's picture, which is linear, but what gets
+        another focus is looked at on a screen. One default for both would change pictures, or
+        maps, of calls and settings files as they are.
     """
 
     focus: float = 0.0
