@@ -204,7 +204,7 @@ def _write(
                 path,
                 values,
                 axes=axes,
-                scale={axis: size for axis, size in source.scale.items() if axis in "yx"},
+                pixel_size={axis: size for axis, size in source.pixel_size.items() if axis in "yx"},
                 units={axis: unit for axis, unit in source.units.items() if axis in "yx"},
                 description={"quantity": quantity, "unit": unit, "settings": used},
                 force=force,

@@ -66,8 +66,8 @@ def change_focus(
 
     whatever R, s and d are. (A lens that is focused nearer also makes the picture larger, radii
     and all, by (1 - f/s) / (1 - f/s') with the focal length f: by 1.02 for 50 mm from 2 m to
-    1.2 m. The size stays as it is here.) An aperture above 1 magnifies the defocus, as Bae and Durand
-    do [1]_; one below 1 reduces it, and 0 leaves the all-in-focus picture.
+    1.2 m. The size stays as it is here.) An aperture above 1 magnifies the defocus, as Bae and
+    Durand do [1]_; one below 1 reduces it, and 0 leaves the all-in-focus picture.
 
     The all-in-focus picture is blurred again as `simulate_layered_defocus` does it: nearer
     things hide farther ones, and what they hid before is filled from around. The same is done
