@@ -8,12 +8,12 @@ q_i = |g_i|^2 / sigma_ni^2, a_i(r) = sigma_i^2(r) / sigma_ni^2, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, next_fast_len
+from scipy.interpolate import CubicHermiteSpline
 
 from napari_defocus.likelihood.blur_spectra import SpectrumTable, is_pointlike
 from napari_defocus.likelihood.gabor import frequencies
@@ -81,7 +81,7 @@ def fixed_point_maxima(
     if starts is None:
         starts = np.arange(1.0, table.scales[-1] + 1e-6)
     noise = noise_power(table, noise_variance)
-    gain = _Gain(table.value / noise, table.first / noise, table.scales)
+    gain = CubicHermiteSpline(table.scales, table.value / noise, table.first / noise)
     ends = [_climb(power / noise, gain, 1 / dispersion, float(start)) for start in starts]
     radii, heights = (np.stack(values, axis=1) for values in zip(*ends, strict=True))
     heights -= (np.log(noise).sum(axis=1) / dispersion).sum(axis=1)[:, None]
@@ -90,35 +90,12 @@ def fixed_point_maxima(
     return _best_distinct(radii, heights)
 
 
-@dataclass(frozen=True)
-class _Gain:
-    """a_i(r), by cubic Hermite interpolation of the tables.
-
-    Attributes
-    ----------
-    value, slope : (M, 2, F) float64 ndarray
-    scales : (M,) float64 ndarray
-    """
-
-    value: Float64
-    slope: Float64
-    scales: Float64
-
-    def at(self, radius: Float64) -> tuple[Float64, Float64]:
-        """Return a_i and its derivative at one scale a window: both (P, 2, F)."""
-        step = self.scales[1] - self.scales[0]
-        left = np.minimum((radius / step).astype(int), len(self.scales) - 2)
-        t = (radius / step - left)[:, None, None]
-        rise = self.value[left + 1] - self.value[left]
-        leave, arrive = step * self.slope[left], step * self.slope[left + 1]
-        bend = leave + arrive - 2 * rise
-        turn = rise - leave - bend
-        value = self.value[left] + t * (leave + t * (turn + t * bend))
-        return value, (leave + t * (2 * turn + 3 * t * bend)) / step
-
-
-def _climb(q: Float64, gain: _Gain, weight: Float64, start: float) -> tuple[Float64, Float64]:
+def _climb(
+    q: Float64, gain: CubicHermiteSpline, weight: Float64, start: float
+) -> tuple[Float64, Float64]:
     """Steps 1 to 5 of Section III-A: r of each window and the logarithm of (5) there, (P,).
+
+    `gain` is a_i(r), (2, F).
 
     One step down (13) between two solutions of (11). It is half as long as the one before it
     where (13) rose or turned, and longer otherwise.
@@ -129,7 +106,7 @@ def _climb(q: Float64, gain: _Gain, weight: Float64, start: float) -> tuple[Floa
     strength = np.full(q.shape[:2], _LARGE)
     moving = np.arange(windows)
     while moving.size:
-        a, a_slope = gain.at(trial[moving])
+        a, a_slope = gain(trial[moving]), gain(trial[moving], 1)
         s = _best_strength(q[moving], a, strength[moving])
         deviance, deviance_slope = _deviance(q[moving], a, a_slope, s, weight[moving])
         falls = -deviance > height[moving]
@@ -139,7 +116,7 @@ def _climb(q: Float64, gain: _Gain, weight: Float64, start: float) -> tuple[Floa
         better = moving[falls]
         radius[better], strength[better] = trial[better], s[falls]
         height[better], slope[better] = -deviance[falls], deviance_slope[falls]
-        trial = np.clip(radius - np.sign(slope) * step, 0, gain.scales[-1])
+        trial = np.clip(radius - np.sign(slope) * step, 0, gain.x[-1])
         moving = moving[step[moving] > _SETTLED]
     return radius, height
 
