@@ -173,6 +173,22 @@ def given_array(name: str, values: ArrayLike) -> NDArray[Any]:
     return array
 
 
+def given_reals(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return an argument as an array of real numbers in double precision.
+
+    Raises
+    ------
+    TypeError
+        If its dtype is none of integers or floats.
+    ValueError
+        As `given_array`.
+    """
+    array = given_array(name, values)
+    if array.dtype.kind not in "uif":
+        raise TypeError(f"{name} has dtype {array.dtype}; it takes real numbers")
+    return array.astype(np.float64)
+
+
 def given_image(name: str, values: ArrayLike) -> NDArray[Any]:
     """Return a picture as an array, with its mask if it has one.
 

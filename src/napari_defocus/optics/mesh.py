@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.checks import check_number
-from napari_defocus.core.image import given_array, prepare_image, shown_colors
+from napari_defocus.core.image import given_reals, prepare_image, shown_colors
 from napari_defocus.optics.thin_lens import checked_depth
 
 Float32 = NDArray[np.float32]
@@ -212,14 +212,12 @@ def picture_colors(
 
 
 def _checked_scale(blur_map: ArrayLike) -> Float64:
-    scale = given_array("blur_map", blur_map)
-    if scale.dtype.kind not in "uif":
-        raise TypeError(f"blur_map has dtype {scale.dtype}; it takes real numbers")
+    scale = given_reals("blur_map", blur_map)
     if scale.ndim != 2 or min(scale.shape) < 2:
         raise ValueError(f"blur_map has shape {scale.shape}; it takes (H, W), 2 px or more a side")
     if np.isinf(scale).any() or (scale < 0).any():
         raise ValueError("blur_map has values that are infinite or below 0; it takes px, or NaN")
-    return scale.astype(np.float64)
+    return scale
 
 
 def _surface(

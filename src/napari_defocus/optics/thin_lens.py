@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.checks import Side, check_number
-from napari_defocus.core.image import given_array
+from napari_defocus.core.image import given_array, given_reals
 from napari_defocus.optics.exif import noted_lens
 from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
 
@@ -233,7 +233,7 @@ def depth_from_blur(
     array([2.   , 1.883, 1.778, 0.89 ], dtype=float32)
     """
     _check_lens(lens)
-    scale = _real("blur_map", blur_map)
+    scale = given_reals("blur_map", blur_map)
     if (scale < 0).any() or np.isinf(scale).any():
         raise ValueError(
             f"blur_map has values from {np.nanmin(scale):g} to {np.nanmax(scale):g}; "
@@ -318,17 +318,10 @@ def checked_side(side: Side | ArrayLike, shape: tuple[int, ...]) -> NDArray[np.b
 
 def checked_depth(depth: ArrayLike) -> Float64:
     """Check distances, above 0, and return them as float64."""
-    distance = _real("depth", depth)
+    distance = given_reals("depth", depth)
     if (distance <= 0).any():
         raise ValueError(f"depth has values down to {np.nanmin(distance):g}; it takes ones above 0")
     return distance
-
-
-def _real(name: str, values: ArrayLike) -> Float64:
-    array = given_array(name, values)
-    if array.dtype.kind not in "uif":
-        raise TypeError(f"{name} has dtype {array.dtype}; it takes real numbers")
-    return array.astype(np.float64)
 
 
 def _as_float32(values: ArrayLike) -> Float32:

@@ -88,7 +88,7 @@ class Restoration:
     ) -> Float32:
         """Minimise (19) for a picture and how it is prepared; return it in the image's shape."""
         colors = self._colors(picture, blur_map, confidence, progress)
-        return with_unknown(_in_shape_of(image, colors), image)
+        return with_unknown(in_shape_of(image, colors), image)
 
     def _colors(
         self,
@@ -155,8 +155,8 @@ def _checked_confidence(confidence: ArrayLike, shape: tuple[int, int]) -> Float3
     return array.astype(np.float32)
 
 
-def _in_shape_of(image: ArrayLike, color: Float32) -> Float32:
-    """Return a picture's colour with its number of channels, and its own opacity."""
+def in_shape_of(image: ArrayLike, color: Float32) -> Float32:
+    """Return colours, (H, W, C), in the shape of a picture, with its opacity if it has one."""
     array = np.asarray(image)
     if array.ndim == 2:
         return color[..., 0]

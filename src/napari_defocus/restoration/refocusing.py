@@ -29,7 +29,7 @@ from napari_defocus.forward.occlusion import Layers, spread_layers
 from napari_defocus.optics.thin_lens import checked_side
 from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
 from napari_defocus.psf.measured import MeasuredPSF
-from napari_defocus.restoration.all_in_focus import Restoration
+from napari_defocus.restoration.all_in_focus import Restoration, in_shape_of
 from napari_defocus.settings import RefocusSettings, RestorationSettings
 
 Float32 = NDArray[np.float32]
@@ -262,10 +262,4 @@ def _checked_sharp(
 def _as_given(light: Float32, image: ArrayLike, linearize: Linearize | None) -> Float32:
     """Return light as a picture of the shape of the given one, with its opacity."""
     color = np.clip(encode_srgb(light) if linearize == "srgb" else light, 0, 1)
-    given = np.asarray(image)
-    if given.ndim == 2:
-        color = color[..., 0]
-    elif given.shape[2] == 4:
-        whole = np.iinfo(given.dtype).max if given.dtype.kind in "ui" else 1
-        color = np.dstack([color, np.clip(given[..., 3] / whole, 0, 1).astype(np.float32)])
-    return with_unknown(color, image)
+    return with_unknown(in_shape_of(image, color), image)
