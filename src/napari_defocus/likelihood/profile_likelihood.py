@@ -1,9 +1,12 @@
-"""The likelihood of a blur scale given local power spectra: (5), (9), (11).
+"""The profile likelihood of a blur scale given local power spectra: (5), (9), (11).
 
 Powers are taken relative to the noise spectrum: q_i = |g_i|^2 / sigma_ni^2 and
 a_i(r) = sigma_i^2(r) / sigma_ni^2, so that the variance in (5) is sigma_ni^2 (1 + s a_i) and
 
     -log p = sum_i  q_i / (1 + s a_i) + log(1 + s a_i) + log sigma_ni^2.
+
+Of the variance s of the sharp picture's gradients nothing is known, and there is no prior on it:
+the best one is taken for each scale.
 
 Both gradients are used: their log-likelihoods, each with its own s, are added.
 
@@ -202,7 +205,7 @@ def _follow(
                 q[i, lane] = relative[window, i]
                 total += relative[window, i]
             state[_AT_ZERO, lane] = total
-            state[_LOG_S, lane] = first_log_strength(relative[window], gain[0])
+            state[_LOG_S, lane] = _first_log_strength(relative[window], gain[0])
             state[_BEFORE, lane] = state[_LOG_S, lane]
         for scale in range(gain.shape[0]):
             largest = gain[scale, 0]
@@ -370,9 +373,8 @@ def _scoring_step(log_sums: Float32, scale: int, least: np.float32, state: Float
         state[_MOVING, lane] = one if moves and gained >= _SETTLED else zero
 
 
-# After a change here, touch maxima.py: numba's cache looks at the caller's own file only.
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def first_log_strength(q: Float32, a: Float32) -> np.float32:
+def _first_log_strength(q: Float32, a: Float32) -> np.float32:
     """Return log s of the best s of one scale by (11), from the least-squares one."""
     one = np.float32(1)
     total, squares = np.float32(0), np.float32(0)
