@@ -120,7 +120,7 @@ def measure_candidates(
     *,
     axes: str | None = None,
     block_size: int = BLOCK_SIZE,
-) -> BlurCandidates:
+) -> Any:
     """Estimate the candidates of a picture, a stack or a dask array; find shot noise if asked to.
 
     Of a stack or a dask array, shot noise is that of its first plane.
