@@ -50,19 +50,20 @@ def errors_in_one_line() -> Iterator[None]:
     try:
         yield
     except Ended as error:
-        _complain("ended")
+        complain("ended")
         raise typer.Exit(error.code) from None
-    except KeyboardInterrupt:
-        _complain("interrupted")
+    except KeyboardInterrupt as error:
+        for told in ("interrupted", *getattr(error, "__notes__", ())):
+            complain(told)
         raise typer.Exit(INTERRUPTED) from None
     except MemoryError:
-        _complain("there is not enough memory for this picture")
+        complain("there is not enough memory for this picture")
         raise typer.Exit(FAILED) from None
     except (OSError, TypeError, ValueError) as error:
-        _complain(_told(error))
+        complain(_told(error))
         raise typer.Exit(FAILED) from None
     except Exception as error:
-        _complain(f"{type(error).__name__}: {error}")
+        complain(f"{type(error).__name__}: {error}")
         raise typer.Exit(FAILED) from None
 
 
@@ -73,7 +74,8 @@ def _told(error: Exception) -> str:
     return error.told("--force") if isinstance(error, NeedsForce) else str(error)
 
 
-def _complain(message: str) -> None:
+def complain(message: str) -> None:
+    """Say what went wrong, in one line on standard error."""
     typer.echo(f"napari-defocus: {' '.join(message.split())}", err=True)
 
 
