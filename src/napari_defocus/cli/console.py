@@ -56,14 +56,8 @@ def errors_in_one_line() -> Iterator[None]:
         for told in ("interrupted", *getattr(error, "__notes__", ())):
             complain(told)
         raise typer.Exit(INTERRUPTED) from None
-    except MemoryError:
-        complain("there is not enough memory for this picture")
-        raise typer.Exit(FAILED) from None
-    except (OSError, TypeError, ValueError) as error:
-        complain(_told(error))
-        raise typer.Exit(FAILED) from None
     except Exception as error:
-        complain(f"{type(error).__name__}: {error}")
+        complain(_told(error))
         raise typer.Exit(FAILED) from None
 
 
@@ -71,7 +65,12 @@ def _told(error: Exception) -> str:
     """Return a message in the words of the terminal."""
     from napari_defocus.core.writing import NeedsForce
 
-    return error.told("--force") if isinstance(error, NeedsForce) else str(error)
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this picture"
+    if isinstance(error, NeedsForce):
+        return error.told("--force")
+    known = isinstance(error, OSError | TypeError | ValueError)
+    return str(error) if known else f"{type(error).__name__}: {error}"
 
 
 def complain(message: str) -> None:

@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING, Any
 import napari_defocus
 from napari_defocus.cli.command import Facts, command, last_lines
 from napari_defocus.cli.description import lines_of, map_facts, picture_facts
-from napari_defocus.cli.option_groups import LensOptions, MapOrFileOptions
+from napari_defocus.cli.option_groups import MapOrFileOptions
 from napari_defocus.cli.results import Files, beside, check_endings, encoded
-from napari_defocus.cli.thin_lens import check_side, lens_facts, lens_line, lens_of, side_line
+from napari_defocus.cli.thin_lens import (
+    LensOptions,
+    check_side,
+    lens_facts,
+    lens_line,
+    lens_of,
+    side_line,
+)
 from napari_defocus.core.checks import Side, check_confidence
 from napari_defocus.core.progress import Progress
 from napari_defocus.pipeline import Measurement, file_facts, used

@@ -10,7 +10,7 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypedDict, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
 
 from napari_defocus.cli.options import SHARED, Entry, entries_in, shown
 from napari_defocus.core.checks import Linearize, Mode
@@ -107,35 +107,6 @@ class RestorationOptions(OptionGroup):
     def settings(self) -> RestorationSettings:
         """Return the settings that are asked for, checked."""
         return RestorationSettings(tv_weight=self.tv_weight, risk=self.risk)
-
-
-class GivenLens(TypedDict):
-    """What is given of a lens, by the names of `ThinLens`; None is left to the picture's EXIF."""
-
-    focal_length_mm: float | None
-    f_number: float | None
-    focus_distance_m: float | None
-    pixel_pitch_um: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class LensOptions(OptionGroup):
-    """A thin lens."""
-
-    focal_length: float | None = None
-    f_number: float | None = None
-    focus_distance: float | None = None
-    pixel_pitch: float | None = None
-
-    @property
-    def given(self) -> GivenLens:
-        """What is given of it."""
-        return GivenLens(
-            focal_length_mm=self.focal_length,
-            f_number=self.f_number,
-            focus_distance_m=self.focus_distance,
-            pixel_pitch_um=self.pixel_pitch,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

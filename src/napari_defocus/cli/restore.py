@@ -11,10 +11,17 @@ from typing import TYPE_CHECKING, Any
 import napari_defocus
 from napari_defocus.cli.command import Facts, command, last_lines
 from napari_defocus.cli.description import lines_of, map_facts, picture_facts
-from napari_defocus.cli.option_groups import LensOptions, MapOrFileOptions, RestorationOptions
+from napari_defocus.cli.option_groups import MapOrFileOptions, RestorationOptions
 from napari_defocus.cli.options import Encoding
 from napari_defocus.cli.results import Files, beside, check_endings, encoded
-from napari_defocus.cli.thin_lens import check_side, lens_facts, lens_line, lens_of, side_line
+from napari_defocus.cli.thin_lens import (
+    LensOptions,
+    check_side,
+    lens_facts,
+    lens_line,
+    lens_of,
+    side_line,
+)
 from napari_defocus.core.checks import Linearize, Side
 from napari_defocus.core.progress import Progress, within
 from napari_defocus.pipeline import Measurement, file_facts, intensities_of, used
@@ -78,18 +85,20 @@ def restore(
 
     outputs = output or beside(image, "-in-focus.png")
     settings, asked = measuring.settings(), restoring.settings()
+    intensity_range = measuring.intensity_range
     check_endings(outputs, ".png", ".tif", ".tiff")
     picture = files.read(image, outputs, *measuring.files)
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
-    light, intensity_range = settings.linearize, measuring.intensity_range
-    found = _with_intensities(found, picture, intensity_range)
-    restoration = _completed(asked, found, picture, settings, light, intensity_range)
+    if found.intensities is None:
+        found = replace(found, intensities=intensities_of(picture, intensity_range))
+    sharp, restoration = _all_in_focus(
+        picture, found, settings, asked, settings.linearize, intensity_range, second
+    )
     found = replace(found, noise_variance=restoration.noise_variance)
     shaping = {"tv_weight": restoration.tv_weight}
     facts = picture_facts(image, outputs, found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
-    sharp = _restored(picture, found, restoration, light, intensity_range, second)
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
     contents = _encoded(outputs, sharp, picture, ALL_IN_FOCUS, made_with)
     files.write(contents, "restore", map=settings, restoration=asked)
@@ -141,6 +150,7 @@ def refocus(
 
     outputs = output or beside(image, "-refocused.png")
     settings, asked = measuring.settings(), restoring.settings()
+    intensity_range = measuring.intensity_range
     _check_change(focus, sharp_at, aperture, thin_lens)
     check_endings(outputs, ".png", ".tif", ".tiff")
     picture = files.read(image, outputs, *measuring.files)
@@ -148,16 +158,15 @@ def refocus(
     change |= {"aperture": aperture, "side": side, "encoding": encoding}
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
+    if found.intensities is None:
+        found = replace(found, intensities=intensities_of(picture, intensity_range))
     light: Linearize | None = "srgb" if encoding == "srgb" else None
-    intensity_range = measuring.intensity_range
-    found = _with_intensities(found, picture, intensity_range)
-    restoration = _completed(asked, found, picture, settings, light, intensity_range)
+    restored = within(second, 0.0, _RESTORING_SHARE)
+    sharp, restoration = _all_in_focus(
+        picture, _sure(found), settings, asked, light, intensity_range, restored
+    )
     change["restoring_noise_variance"] = restoration.noise_variance
     change |= {"tv_weight": restoration.tv_weight, "risk": asked.risk}
-    facts = picture_facts(image, outputs, found, settings) | file_facts(found)
-    facts |= map_facts(found) | change
-    restoring_share = within(second, 0.0, _RESTORING_SHARE)
-    sharp = _restored(picture, _sure(found), restoration, light, intensity_range, restoring_share)
     view = RefocusSettings(focus=change["focus_px"], aperture=aperture, side=side, linearize=light)
     changed = napari_defocus.change_focus(
         picture,
@@ -170,31 +179,27 @@ def refocus(
     )
     contents = _encoded(outputs, changed, picture, REFOCUSED, used(found, settings) | change)
     files.write(contents, "refocus", map=settings, restoration=asked, refocus=view)
-    return facts
+    facts = picture_facts(image, outputs, found, settings) | file_facts(found)
+    return facts | map_facts(found) | change
 
 
 def _shares(progress: Progress) -> tuple[Progress, Progress]:
     return within(progress, 0.0, MEASURING_SHARE), within(progress, MEASURING_SHARE, 1.0)
 
 
-def _with_intensities(
-    found: Measurement, picture: NDArray[Any], intensity_range: tuple[float, float] | None
-) -> Measurement:
-    """Return the same with the intensities that the picture is restored in."""
-    if found.intensities is not None:
-        return found
-    return replace(found, intensities=intensities_of(picture, intensity_range))
-
-
-def _completed(
-    asked: RestorationSettings,
-    found: Measurement,
+def _all_in_focus(
     picture: NDArray[Any],
+    found: Measurement,
     settings: MapSettings,
+    asked: RestorationSettings,
     light: Linearize | None,
     intensity_range: tuple[float, float] | None,
-) -> RestorationSettings:
-    """Return the settings with the noise variance in the light that is restored in, and lambda."""
+    progress: Progress,
+) -> tuple[NDArray[Any], RestorationSettings]:
+    """Return the picture without what is safe to take away, and the settings as they were used.
+
+    Their noise variance is that in the light in which the picture is restored.
+    """
     from napari_defocus.restoration.all_in_focus import usual_tv_weight
 
     noise, weight = found.noise_variance, asked.tv_weight
@@ -204,30 +209,19 @@ def _completed(
         )
     if weight is None:
         weight = usual_tv_weight(noise, 1 if picture.ndim == 2 else 3, found.intensities)
-    return replace(asked, noise_variance=noise, tv_weight=weight)
-
-
-def _restored(
-    picture: NDArray[Any],
-    found: Measurement,
-    settings: RestorationSettings,
-    light: Linearize | None,
-    intensity_range: tuple[float, float] | None,
-    progress: Progress,
-) -> NDArray[Any]:
-    """Take away what is safe to take away."""
-    safe = _without_gaps(replace(found, blur_map=found.cautious(settings.risk)))
-    return napari_defocus.restore_all_in_focus(
+    safe = _without_gaps(replace(found, blur_map=found.cautious(asked.risk)))
+    sharp = napari_defocus.restore_all_in_focus(
         picture,
         safe.blur_map,
         psf=found.psf,
-        noise_variance=settings.noise_variance,
+        noise_variance=noise,
         confidence=safe.confidence,
-        tv_weight=settings.tv_weight,
+        tv_weight=weight,
         linearize=light,
         intensity_range=intensity_range,
         progress=progress,
     )
+    return sharp, replace(asked, noise_variance=noise, tv_weight=weight)
 
 
 def _encoded(
@@ -261,10 +255,7 @@ def _check_change(
             raise ValueError("nothing would change; give focus, sharp_at or aperture")
     elif not sharp_at > 0:
         raise ValueError(f"sharp_at is {sharp_at}; it takes a distance above 0 m")
-    if focus is not None and not math.isfinite(focus):
-        raise ValueError(f"focus is {focus}; it takes a finite number of px")
-    if not 0 <= aperture < math.inf:
-        raise ValueError(f"aperture is {aperture}; it takes a finite number from 0 up")
+    RefocusSettings(focus=focus or 0.0, aperture=aperture)
 
 
 def _focus_facts(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import napari_defocus
-from napari_defocus.cli.option_groups import LensOptions
+from napari_defocus.cli.option_groups import OptionGroup
 from napari_defocus.core.checks import Side
 
 if TYPE_CHECKING:
@@ -17,13 +18,33 @@ if TYPE_CHECKING:
 _SIDES = {"far": "beyond", "near": "before"}
 
 
+@dataclass(frozen=True, kw_only=True)
+class LensOptions(OptionGroup):
+    """A thin lens."""
+
+    focal_length: float | None = None
+    f_number: float | None = None
+    focus_distance: float | None = None
+    pixel_pitch: float | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What is given of it, by the names of `ThinLens`; None is left to the picture's EXIF."""
+        return {
+            "focal_length_mm": self.focal_length,
+            "f_number": self.f_number,
+            "focus_distance_m": self.focus_distance,
+            "pixel_pitch_um": self.pixel_pitch,
+        }
+
+
 def lens_of(image: Path, options: LensOptions) -> ThinLens:
     """Return the lens that is given; what is not, the picture has to note."""
     given = options.given
     if None in given.values():
         return napari_defocus.ThinLens.from_exif(image, **given)
     # Not every picture that is read here can be asked for EXIF.
-    return napari_defocus.ThinLens(**cast("dict[str, float]", given))
+    return napari_defocus.ThinLens(**given)
 
 
 def check_side(side: Side, lens: ThinLens) -> None:
