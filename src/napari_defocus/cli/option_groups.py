@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
 
@@ -151,13 +152,16 @@ def _is_group(parameter: inspect.Parameter) -> bool:
 
 
 def _options(parameter: inspect.Parameter, own: dict[str, Entry]) -> Iterator[inspect.Parameter]:
+    name, default, taken = parameter.name, parameter.default, parameter.annotation
     if not _is_group(parameter):
-        yield shown(parameter, SHARED | own)
+        entry = own.get(name) or SHARED[name]
+        is_option = parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        yield shown(name, taken, default, entry, is_option=is_option)
         return
-    group = parameter.annotation
-    types = get_type_hints(group)
-    for field in fields(group):
-        option = parameter.replace(
-            name=field.name, default=field.default, annotation=types[field.name]
-        )
-        yield shown(option, SHARED | group.entries | own)
+    types = _types_of_fields(taken)
+    entries = SHARED | taken.entries | own
+    for field in fields(taken):
+        yield shown(field.name, types[field.name], field.default, entries[field.name])
+
+
+_types_of_fields = cache(get_type_hints)

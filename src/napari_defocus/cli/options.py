@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import inspect
-import re
-from dataclasses import dataclass
-from textwrap import dedent
-from typing import Annotated, Any, Literal
+from functools import cache
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -19,8 +17,7 @@ Encoding = Literal["srgb", "linear"]
 _CALLBACKS = {"settings_file": options_from_file}
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """What a text says of a parameter: its names in the terminal, its value's, and the help."""
 
     names: tuple[str, ...]
@@ -37,31 +34,37 @@ def entries_in(text: str) -> dict[str, Entry]:
         For each parameter a line, and its help below, indented. The line has the parameter's name,
         its names in the terminal that do not follow from that, and what stands for its value.
     """
+    told_of: dict[str, list[str]] = {}
+    for line in filter(None, inspect.cleandoc(text).splitlines()):
+        if not line.startswith(" "):
+            told = told_of.setdefault(line, [])
+        else:
+            told.append(line.strip())
     entries = {}
-    for entry in filter(None, re.split(r"\n(?=\S)", dedent(text).strip())):
-        line, *told = entry.splitlines()
+    for line, told in told_of.items():
         name, *words = line.split()
         names = [word for word in words if word.startswith("-")]
+        metavar = " ".join(word for word in words if word not in names)
         if not any(each.startswith("--") for each in names):
             names.insert(0, f"--{name.replace('_', '-')}")
-        metavar = " ".join(word for word in words if word not in names)
-        entries[name] = Entry(tuple(names), metavar or None, " ".join(map(str.strip, told)))
+        entries[name] = Entry(tuple(names), metavar or None, " ".join(told))
     return entries
 
 
-def shown(parameter: inspect.Parameter, entries: dict[str, Entry]) -> inspect.Parameter:
-    """Return a parameter as typer takes it: keyword-only ones are options, others arguments."""
-    name, entry = parameter.name, entries[parameter.name]
+@cache  # commands share most of them, and start faster
+def shown(
+    name: str, annotation: Any, default: Any, entry: Entry, *, is_option: bool = True
+) -> inspect.Parameter:
+    """Return a parameter as typer takes it."""
     about: dict[str, Any] = {"metavar": entry.metavar, "help": entry.told}
-    about["show_default"] = parameter.default is not inspect.Parameter.empty
+    about["show_default"] = default is not inspect.Parameter.empty
     taken = (
         typer.Option(*entry.names, callback=_CALLBACKS.get(name), **about)
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        if is_option
         else typer.Argument(**about)
     )
-    return parameter.replace(
-        annotation=Annotated[parameter.annotation, taken], kind=inspect.Parameter.KEYWORD_ONLY
-    )
+    kind, annotation = inspect.Parameter.KEYWORD_ONLY, Annotated[annotation, taken]
+    return inspect.Parameter(name, kind, default=default, annotation=annotation)
 
 
 SHARED = entries_in(f"""

@@ -126,8 +126,9 @@ def sharpest(
     )
     facts = _facts(source, found, outputs) | {"channel": channel, "time": time}
     facts |= {"focus_axis": focus.letter, "focus_note": focus.note}
-    made_with = {name: facts[name] for name in ("image", "channel", "time", "px_per_plane")}
-    _write(wanted, source, found, made_with | {"psf": psf, "smoothness": smoothness}, force)
+    told = facts | {"psf": psf, "smoothness": smoothness}
+    names = ("image", "channel", "time", "psf", "smoothness", "px_per_plane")
+    _write(wanted, source, found, {name: told[name] for name in names}, force)
     return facts
 
 
