@@ -1,6 +1,6 @@
 """Real pictures with a known answer, and plain drawn ones: what the defaults say of them.
 
-    python benchmarks/real.py --real ../shared/data/real --cases ../shared/cases
+    python benchmarks/real.py --real ../shared/data/real
 
 Prints tables in Markdown. Phones: photographs with radii that were measured from a sharp picture of
 the same scene, binned 3 x 3 (1 to 6.6 px). Mitochondria: fluorescence at known distances from focus.
@@ -92,7 +92,7 @@ def phones(real: Path, measure: Measure, by: int = 3) -> Iterator[Points]:
 
 
 def restored(real: Path) -> Iterator[tuple[str, float, float]]:
-    """Yield the PSNR, dB, of binned phone photographs against their sharp pictures; and restored."""
+    """Yield the PSNR, dB, of binned phone photographs against sharp pictures; and restored."""
     for path in sorted(real.glob("*-photo.tif")):
         name = path.name.removesuffix("-photo.tif")
         photo, sharp = (

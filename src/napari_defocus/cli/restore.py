@@ -25,6 +25,7 @@ from napari_defocus.cli.thin_lens import (
 from napari_defocus.core.checks import Linearize, Side
 from napari_defocus.core.progress import Progress, within
 from napari_defocus.pipeline import Measurement, file_facts, intensities_of, used
+from napari_defocus.pipeline import restore as restored
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 
 if TYPE_CHECKING:
@@ -200,7 +201,7 @@ def _all_in_focus(
 
     Their noise variance is that in the light in which the picture is restored.
     """
-    from napari_defocus.restoration.all_in_focus import usual_tv_weight
+    from napari_defocus.restoration.all_in_focus import Restoration, usual_tv_weight
 
     noise, weight = found.noise_variance, asked.tv_weight
     if noise is None or (light != settings.linearize and found.map_file is None):
@@ -210,17 +211,8 @@ def _all_in_focus(
     if weight is None:
         weight = usual_tv_weight(noise, 1 if picture.ndim == 2 else 3, found.intensities)
     safe = _without_gaps(replace(found, blur_map=found.cautious(asked.risk)))
-    sharp = napari_defocus.restore_all_in_focus(
-        picture,
-        safe.blur_map,
-        psf=found.psf,
-        noise_variance=noise,
-        confidence=safe.confidence,
-        tv_weight=weight,
-        linearize=light,
-        intensity_range=intensity_range,
-        progress=progress,
-    )
+    how = Restoration(found.psf, noise, weight, light, intensity_range)
+    sharp = restored(picture, safe.blur_map, safe.confidence, how, progress=progress)
     return sharp, replace(asked, noise_variance=noise, tv_weight=weight)
 
 

@@ -8,14 +8,13 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any, Literal
 
-import napari_defocus
 from napari_defocus.cli.command import Facts, command, last_lines
 from napari_defocus.cli.description import lines_of, map_facts, mask_facts, picture_facts
 from napari_defocus.cli.results import Files, check_endings, encoded_maps, encoded_masks
 from napari_defocus.core.checks import Linearize, check_threshold
 from napari_defocus.core.progress import Progress, within
-from napari_defocus.pipeline import label_map, measure_candidates, shares
-from napari_defocus.settings import MapSettings, usual_threshold
+from napari_defocus.pipeline import label_map, measure_candidates, segment, shares
+from napari_defocus.settings import MapSettings, MaskSettings, usual_threshold
 
 SampleName = Literal["dandelion", "brushes"]
 
@@ -94,9 +93,8 @@ def demonstrate(
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, None, first)
         found = label_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
-        mask = napari_defocus.segment_in_focus(
-            candidates, picture, threshold=threshold, progress=within(second, 0.5, 1.0)
-        )
+        mask_settings = MaskSettings(threshold=threshold)
+        mask = segment(candidates, picture, mask_settings, progress=within(second, 0.5, 1.0))
         contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
         files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))
     facts = picture_facts(Path("dandelion.jpg"), outputs, found, settings)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import napari_defocus
+from napari_defocus import pipeline
 from napari_defocus.cli.command import Facts, command, last_lines
 from napari_defocus.cli.description import lines_of, mask_facts, picture_facts
 from napari_defocus.cli.option_groups import EvidenceOptions
@@ -87,13 +87,9 @@ def segment_picture(
     first, second = shares(progress)
     candidates = measure_candidates(picture, settings, intensity_range, first)
     masked = 0.5 if tables else 1.0
-    mask = napari_defocus.segment_in_focus(
-        candidates,
-        picture,
-        **asdict(mask_settings),
-        seeds=known,
-        intensity_range=intensity_range,
-        progress=within(second, 0.0, masked),
+    report = within(second, 0.0, masked)
+    mask = pipeline.segment(
+        candidates, picture, mask_settings, intensity_range, seeds=known, progress=report
     )
     contents = encoded_masks(masks, overlays, picture, mask, intensity_range)
     facts = picture_facts(image, outputs, candidates, settings) | mask_facts(mask)
