@@ -8,7 +8,7 @@ from napari_defocus.core.checks import Linearize, Mode
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.progress import Progress
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
-from napari_defocus.likelihood.noise import ShotNoise
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 
 if TYPE_CHECKING:
