@@ -117,7 +117,7 @@ def test_results_are_lazy_lie_on_the_picture_and_are_those_of_the_whole(
     ]
     kept = read_ome_zarr(tmp_path / "slide blur (px).ome.zarr")
     assert kept.units == {"y": "micrometer", "x": "micrometer"}
-    assert kept.scale == {"y": 0.5, "x": 0.25}
+    assert kept.pixel_size == {"y": 0.5, "x": 0.25}
     assert kept.attributes["settings"]["noise_variance"] == 1e-5
     assert f"Kept in {tmp_path}" in found.summary
 
