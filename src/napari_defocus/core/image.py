@@ -29,8 +29,8 @@ _LARGEST = 1e9
 """Intensity, once it is scaled: its fourth power is still a number in single precision."""
 
 _DARK, _DARKEST = 0.5, 1e-3
-"""Of the range: pictures of less contrast are shown from this quantile to the opposite one. By
-hand; nothing is measured with it.
+"""Of the range: pictures of less contrast are shown from this quantile to the opposite one.
+Chosen by hand, for the eye.
 """
 
 

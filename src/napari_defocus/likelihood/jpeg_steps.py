@@ -13,7 +13,7 @@ _BLOCK = 8
 """px: the side of JPEG's blocks (Wallace, CACM 34(4), 1991)."""
 
 _MOST_LINES = 1024
-"""Rows and columns that are looked at for blocks: more say nothing new. Chosen by hand."""
+"""Rows and columns that are looked at for blocks, about. Chosen by hand."""
 
 _LEAST_SCORE, _LEAST_SUM_OF_SCORES = 5.0, 7.0
 """t-scores from which on there are blocks: of one direction, or of both together. By hand."""
@@ -24,7 +24,7 @@ logarithm is taken. Chosen by hand.
 """
 
 _MOST_BLOCKS = 4096
-"""Blocks that are transformed: more say nothing new. Chosen by hand."""
+"""Blocks that are transformed, about. Chosen by hand."""
 
 _COEFFICIENTS = ((0, 1, 1, 0, 2, 1, 2, 2, 0, 3), (1, 0, 1, 2, 0, 2, 1, 2, 3, 0))
 """Rows and columns of the ten slowest cosine coefficients but the mean, whose steps count."""

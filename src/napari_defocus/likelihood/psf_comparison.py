@@ -22,7 +22,7 @@ from napari_defocus.psf.text import psf_text
 from napari_defocus.settings import MapSettings
 
 _WINDOWS_APART = 4
-"""Windows are a quarter of their side apart: closer ones say nothing new. Chosen by hand."""
+"""Windows are a quarter of their side apart. Chosen by hand."""
 
 _LARGEST_LOSS = 10.0
 """Units of log-likelihood that a family loses in a window at most. Chosen by hand."""

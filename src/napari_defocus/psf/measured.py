@@ -24,7 +24,7 @@ from napari_defocus.psf.pixel_areas import corners_to
 Float64 = NDArray[np.floating]
 
 _SMALLEST_RATIO = 1e-3
-"""No kernel is scaled down further: it is a point long before."""
+"""No kernel is scaled down further. Chosen by hand."""
 
 _INVISIBLE = 1e-6
 """Of the largest value: borders that are darker are cut off. Chosen by hand."""

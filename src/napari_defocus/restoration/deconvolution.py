@@ -99,7 +99,7 @@ hand.
 
 _PRECONDITIONED_TV = 15.0
 """Of the TV's weight: the constant IRLS weight c that the preconditioner assumes, that of a
-gradient of 1/30 of the contrast. Chosen by hand; it shapes the speed, hardly the result.
+gradient of 1/30 of the contrast. Chosen by hand.
 """
 
 

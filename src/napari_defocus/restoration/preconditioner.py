@@ -23,10 +23,10 @@ _TILE = 64
 """px: the least side of a tile (docs/decisions.md); two kernels if that is more."""
 
 _SCALE_STEP = 0.25
-"""px between the scales that tiles may have. Chosen by hand; it shapes the speed only."""
+"""px between the scales that tiles may have. Chosen by hand."""
 
 _LEAST_LAPLACIAN = 1e-2
-"""Added to |D|^2, which is 0 for the mean. Chosen by hand; it shapes the speed only."""
+"""Added to |D|^2, which is 0 for the mean. Chosen by hand."""
 
 
 class TiledPreconditioner:

@@ -41,7 +41,7 @@ _LEAST_NOISE = 1e-9
 """Variance of the noise, for a contrast of 1, at least. Chosen by hand."""
 
 _SCORING_ROUNDS = 2
-"""Steps of Fisher scoring after least squares. Chosen by hand: near the truth they suffice."""
+"""Steps of Fisher scoring after least squares. Chosen by hand."""
 
 _LEAST_POWER, _TINY = np.float32(1e-3), np.float32(1e-12)
 """P_zf in units of the noise, whose logarithm is taken, at least; and what is added to squares that
@@ -68,7 +68,7 @@ the best. Chosen by hand.
 """
 
 _WINDOWS_FOR_RATE = 400
-"""About so many windows tell the rate: more say nothing new. Chosen by hand."""
+"""About so many windows tell the rate. Chosen by hand."""
 
 _LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 8
 """A window tells it whose power in the sharpest plane is so many times that of noise, and so many

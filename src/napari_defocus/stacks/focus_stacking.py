@@ -46,7 +46,7 @@ _LABELS_A_PLANE, _PX_A_LABEL = 4, 0.125
 """Labels from plane to plane at most, and px of blur from label to label at least. By hand."""
 
 _ASSUMED_RATE = 1.0
-"""px a plane, where nothing tells it: there is no texture then, and no position."""
+"""px a plane, where there is no texture to tell it. Chosen by hand."""
 
 _MEASURE_AREA = 2.0
 """px: standard deviation of the Gaussian over which the focus measure is averaged, for the colours
