@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import napari_defocus
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.psf.families import radius_per_scale
-from napari_defocus.psf.text import psf_of
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
@@ -291,6 +289,9 @@ def _read_values(path: Path, shape: tuple[int, ...], what: str) -> NDArray[Any]:
 
 def _family_up_to(largest: float, settings: MapSettings) -> PSFFamily:
     """Return the family of the settings, with a domain that goes up to a scale if it can."""
+    from napari_defocus.psf.families import radius_per_scale
+    from napari_defocus.psf.text import psf_of
+
     largest_radius = radius_per_scale(settings.family()) * largest
     return psf_of(settings.psf, max(settings.max_radius, largest_radius))
 

@@ -18,7 +18,6 @@ from napari_defocus.cli.description import (
 from napari_defocus.cli.results import check_endings
 from napari_defocus.core.checks import Linearize
 from napari_defocus.core.progress import Progress
-from napari_defocus.psf.text import psf_of
 from napari_defocus.settings import COMPARED_PSFS, MapSettings
 
 if TYPE_CHECKING:
@@ -140,6 +139,7 @@ def compare(
 ) -> dict[str, Any]:
     """Compare how well lenses explain the blur of IMAGE, the best first."""
     from napari_defocus.io.pictures import read_picture
+    from napari_defocus.psf.text import psf_of
 
     text_of = {psf_of(text, max_radius): text for text in family or COMPARED_PSFS}
     picture = read_picture(image)

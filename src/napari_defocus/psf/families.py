@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf, gammaincinv, gammaln
 
 from napari_defocus.core.checks import check_number
+from napari_defocus.psf import MAX_RADIUS
 from napari_defocus.psf.checks import check_largest, checked_kernels, checked_scale
 from napari_defocus.psf.pixel_areas import (
     corners_to,
@@ -30,9 +31,6 @@ from napari_defocus.psf.pixel_areas import (
 )
 
 Float64 = NDArray[np.floating]
-
-MAX_RADIUS = 8.0
-"""Largest radius, in px, that is looked for unless another one is said (Section IV)."""
 
 _GAUSSIAN_CUT = 4.0
 """Standard deviations: beyond them, on an axis, lies 6e-5 of the light."""
