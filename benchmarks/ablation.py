@@ -105,6 +105,10 @@ def three_candidates(candidates):
     return -np.log(artificial_likelihood(candidates)).astype(np.float32) / CURVE_WEIGHT
 
 
+def all_informed(candidates):
+    return np.ones(candidates.curve.shape[:2], np.float32)
+
+
 def only_blocks(labels, cost, blocks, *_, **__):
     return blocks.spread(labels)
 
@@ -120,22 +124,24 @@ STEPS = (
          {"mode": "paper", "noise_variance": PAPERS_NOISE}),
     Step("noise variance 1e-4 for all", {"noise_variance": PAPERS_NOISE}),
     Step("noise by wavelets", {"noise_variance": wavelet_noise}),
-    Step("one gradient", replaced={"candidates.local_power": one_gradient}),
+    Step("one gradient", replaced={"likelihood.estimation.local_power": one_gradient}),
     Step("fitted spectra (12)", {"spectra": "fitted"}),
-    Step("spectra of single scales", replaced={"candidates.spectrum_table": unmixed}),
-    Step("no dispersion", replaced={"candidates.quasi_log_likelihood": undispersed}),
-    Step("no own side at edges", replaced={"scene.on_own_side": lambda own, _: own}),
+    Step("spectra of single scales", replaced={"likelihood.estimation.spectrum_table": unmixed}),
+    Step("no dispersion", replaced={"likelihood.estimation.quasi_log_likelihood": undispersed}),
+    Step("no own side at edges", replaced={"labeling.problem.on_own_side": lambda own, _: own}),
     Step("windows without texture have a say",
-         replaced={"evidence.evidence_share": lambda c: np.ones(c.curve.shape[:2], np.float32)}),
+         replaced={"labeling.data_term.evidence_share": all_informed}),
     Step("three candidates, not the whole curve",
-         replaced={"scene.data_term": three_candidates}, mask=False),
+         replaced={"labeling.problem.data_term": three_candidates}, mask=False),
     Step("expansions, not fusions from an exact start",
-         replaced={"labeling.minimize_energy": expand_until_settled}),
-    Step("labels, not refined", replaced={"labeling.refine_labels": unrefined}),
+         replaced={"labeling.blur_map.minimize_energy": expand_until_settled}),
+    Step("labels, not refined", replaced={"labeling.blur_map.refine_labels": unrefined}),
     Step("blocks, not pixels at edges",
-         replaced={"labeling.label_pixels": only_blocks, "segmentation.label_pixels": only_blocks}),
+         replaced={"labeling.blur_map.label_pixels": only_blocks,
+                   "labeling.segmentation.label_pixels": only_blocks}),
     Step("no colours", label={"color_sigma": NO_COLORS}),
-    Step("blocks pay all of the mask's smoothness", replaced={"segmentation._BLOCK_SHARE": 1.0}),
+    Step("blocks pay all of the mask's smoothness",
+         replaced={"labeling.segmentation._BLOCK_SHARE": 1.0}),
     Step("windows of 31 px", {"window": 31}),
     Step("windows of 61 px", {"window": 61}),
     Step("windows 8 px apart", {"stride": 8}),

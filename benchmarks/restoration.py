@@ -41,7 +41,7 @@ from napari_defocus import (
     simulate_defocus,
 )
 from napari_defocus.forward.blur_operator import BlurOperator
-from napari_defocus.restoration import all_in_focus as restoration
+from napari_defocus.restoration import deconvolution
 
 INNER = np.s_[20:-20, 20:-20]
 NOISE = (1e-6, 1e-5)
@@ -197,10 +197,10 @@ def measure_speed(runs: int) -> None:
         seconds = np.array(times[1:])
         ratios = np.median(seconds[:, 1:] / seconds[:, :1], axis=0)
         peer, there_and_back, restoring = np.median(seconds, axis=0)
-        limits = restoration._TOLERANCE, restoration._MOST_ROUNDS
-        restoration._TOLERANCE, restoration._MOST_ROUNDS = 0.0, 4 * restoration._USUAL_ROUNDS
+        limits = deconvolution._TOLERANCE, deconvolution._MOST_ROUNDS
+        deconvolution._TOLERANCE, deconvolution._MOST_ROUNDS = 0.0, 4 * deconvolution._USUAL_ROUNDS
         converged = restore_all_in_focus(seen, radii)
-        restoration._TOLERANCE, restoration._MOST_ROUNDS = limits
+        deconvolution._TOLERANCE, deconvolution._MOST_ROUNDS = limits
         print(
             f"| {path.stem} | {peer:.2f} | {there_and_back:.3f} | {ratios[0]:.3f} "
             f"| {restoring:.2f} | {ratios[1]:.1f} | {psnr(result, sharp):.2f} "

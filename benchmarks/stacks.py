@@ -33,8 +33,8 @@ from scipy.ndimage import gaussian_filter, laplace, uniform_filter
 from scipy.optimize import minimize
 
 from napari_defocus import Disc, SharpestPlane, sharpest_plane, simulate_defocus
-from napari_defocus import focus_labels as labels
 from napari_defocus.core.image import LUMA_WEIGHTS
+from napari_defocus.stacks import focus_labels as labels
 
 PLANES = {0.5: 25, 1.0: 21, 2.0: 15}
 LARGEST = 16.0
@@ -234,17 +234,17 @@ def fit(pictures: dict[str, np.ndarray]) -> np.ndarray:
 def at_windows(stack: Stack) -> list[np.ndarray]:
     """Return what the confidence of a stack is made from, and whether its position is right."""
     seen = {}
-    original = labels.FocusGrid.confidence
+    original = labels.FocusCostVolume.confidence
 
-    def watched(grid: labels.FocusGrid, position: np.ndarray) -> np.ndarray:
+    def watched(grid: labels.FocusCostVolume, position: np.ndarray) -> np.ndarray:
         seen.update(grid=grid, position=position)
         return original(grid, position)
 
-    labels.FocusGrid.confidence = watched
+    labels.FocusCostVolume.confidence = watched
     try:
         sharpest_plane(stack.planes)
     finally:
-        labels.FocusGrid.confidence = original
+        labels.FocusCostVolume.confidence = original
     grid, position = seen["grid"], seen["position"]
     centers = grid.blocks.row_centers, grid.blocks.column_centers
     windows = np.ix_(*(np.rint(center).astype(int) for center in centers))

@@ -137,6 +137,14 @@ def test_method_imports_neither_napari_nor_qt():
     assert not {"napari", "qtpy", "magicgui", "PySide6", "PyQt6", "dask"} & loaded
 
 
+@pytest.mark.parametrize("module", ["settings", "cli.app", "pipeline", "io.settings_file"])
+def test_what_a_command_begins_with_is_light(module):
+    """Help and errors come at once: nothing is loaded that only measuring needs."""
+    code = f"import sys\nimport napari_defocus.{module}\nprint(*sys.modules)"
+    loaded = {name.partition(".")[0] for name in run_python(code).split()}
+    assert not {"scipy", "skimage", "numba", "dask", "napari", "qtpy"} & loaded
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_examples_in_docstrings_are_true(module):
     result = doctest.testmod(

@@ -117,7 +117,7 @@ def test_stack_is_one_store_with_its_scale_and_a_row_a_plane(stack, tmp_path):
     assert names_in(tmp_path / "out" / "maps") == ["worm-blur.ome.zarr", "worm-mask.ome.zarr"]
     held = read_ome_zarr(tmp_path / "out" / rows[0]["map"])
     assert (held.axes, held.levels[0].shape) == ("zyx", (3, 96, 100))
-    assert held.scale == pytest.approx({"z": 2.0, "y": 0.25, "x": 0.25})
+    assert held.pixel_size == pytest.approx({"z": 2.0, "y": 0.25, "x": 0.25})
     assert holds(held.attributes) == "blur map"
     assert held.attributes["settings"]["stride"] == 8
     second = napari_defocus.estimate_blur_map(tifffile.imread(stack)[1], stride=8)

@@ -235,7 +235,7 @@ def test_scales_that_are_none_are_left_out(store):
     level = about["attributes"]["ome"]["multiscales"][0]["datasets"][0]
     level["coordinateTransformations"] = [{"type": "scale", "scale": [0, -1]}]
     (store / "zarr.json").write_text(json.dumps(about))
-    assert open_source(store).scale == {}
+    assert open_source(store).pixel_size == {}
 
 
 def test_store_that_says_to_be_huge_is_opened_and_not_read(store):

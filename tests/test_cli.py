@@ -546,6 +546,14 @@ def test_noise_that_is_given_is_not_that_of_the_settings_file(
     assert isinstance(found, ShotNoise) if noise is ShotNoise else found == noise
 
 
+def test_options_win_over_a_settings_file_that_is_named_after_them(picture, instant):
+    file = settings_file(picture, map={"shot_noise": True, "window": 31, "stride": 6})
+    result = run("map", picture, "--noise-variance", 1e-4, "--stride", 5, "--settings", file)
+    assert result.exit_code == 0, result.output
+    assert instant["candidates"]["noise_variance"] == 1e-4
+    assert (instant["candidates"]["window"], instant["candidates"]["stride"]) == (31, 5)
+
+
 @pytest.mark.parametrize("command", ["map", "segment"])
 def test_settings_that_were_used_are_saved_and_used_again(picture, instant, command):
     saved, again = picture.with_name("saved.json"), picture.with_name("again.json")
@@ -609,6 +617,13 @@ def test_every_setting_of_a_map_is_an_option_with_its_default(command):
         if command in {"restore", "refocus", "depth"} and setting.name == "psf":
             usual = None  # left to the map, if one is given
         assert options[setting.name].default == usual
+
+
+def test_every_option_of_every_command_says_what_it_does():
+    for name, command in typer.main.get_command(app).commands.items():
+        assert command.help, name
+        for each in command.params:
+            assert each.help, (name, each.name)
 
 
 def test_settings_that_exist_are_kept_unless_forced(picture, instant):

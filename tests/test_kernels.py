@@ -44,7 +44,7 @@ from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.restoration.deconvolution import _smoothness_form, _stiffness
+from napari_defocus.restoration.deconvolution import _graph_laplacian, _irls_weights
 from napari_defocus.stacks.depth_from_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
 
 pytestmark = pytest.mark.kernel
@@ -117,25 +117,25 @@ def test_filtered_samples_are_sums_of_products_with_the_taps(window, fraction):
         np.testing.assert_allclose(sums, expected, atol=1e-5)
 
 
-def test_stiffness_is_that_of_the_joint_variation():
+def test_irls_weights_are_those_of_the_joint_variation():
     picture = np.random.default_rng(2).random((4, 5, 3)).astype(np.float32)
     down = np.diff(picture, axis=0, append=picture[-1:])
     right = np.diff(picture, axis=1, append=picture[:, -1:])
     square = np.sum(down**2 + right**2, axis=2) + 0.1**2
-    stiffness = _stiffness(picture, np.float32(0.3), np.float32(0.1))
-    np.testing.assert_allclose(stiffness, 0.3 / 2 / np.sqrt(square), rtol=1e-5)
+    weights = _irls_weights(picture, np.float32(0.3), np.float32(0.1))
+    np.testing.assert_allclose(weights, 0.3 / 2 / np.sqrt(square), rtol=1e-5)
 
 
-def test_form_of_the_variation_is_its_weighted_sum_of_squares():
+def test_graph_laplacian_is_that_of_the_weighted_sum_of_squares():
     rng = np.random.default_rng(3)
     picture, other = rng.random((2, 4, 5, 3)).astype(np.float32)
-    stiffness = rng.random((4, 5)).astype(np.float32)
+    weights = rng.random((4, 5)).astype(np.float32)
     products = sum(
-        np.sum(stiffness[at][..., None] * np.diff(picture, axis=axis) * np.diff(other, axis=axis))
+        np.sum(weights[at][..., None] * np.diff(picture, axis=axis) * np.diff(other, axis=axis))
         for axis, at in ((0, np.s_[:-1]), (1, np.s_[:, :-1]))
     )
-    form = _smoothness_form(stiffness, picture)
-    assert np.vdot(other, form) == pytest.approx(products, rel=1e-5)
+    laplacian = _graph_laplacian(weights, picture)
+    assert np.vdot(other, laplacian) == pytest.approx(products, rel=1e-5)
 
 
 def small_table(step=0.02):

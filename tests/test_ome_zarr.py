@@ -55,21 +55,21 @@ def test_both_versions_are_read_with_scale_and_units(tmp_path, planes, version, 
     assert picture.axes == "tcyx"
     np.testing.assert_array_equal(picture.levels[0], planes)
     np.testing.assert_array_equal(picture.levels[1], planes[..., ::2, ::2])
-    assert picture.scale == {"t": 2.0, "y": 0.25, "x": 0.5}
+    assert picture.pixel_size == {"t": 2.0, "y": 0.25, "x": 0.5}
     assert picture.units == {"t": "second", "y": "micrometer", "x": "micrometer"}
     assert picture.attributes == {}
 
 
 def test_scale_of_the_whole_pyramid_counts_too(tmp_path, planes):
     path = store_of(tmp_path / "a.zarr", planes[0], "zyx", whole_scale=[2.0, 4.0, 4.0])
-    assert read_ome_zarr(path).scale == {"z": 3.0, "y": 1.0, "x": 2.0}
+    assert read_ome_zarr(path).pixel_size == {"z": 3.0, "y": 1.0, "x": 2.0}
 
 
 def test_rows_and_columns_come_last_wherever_they_are_stored(tmp_path, planes):
     picture = read_ome_zarr(store_of(tmp_path / "a.zarr", planes[0], "xyz"))
     assert picture.axes == "zyx"
     np.testing.assert_array_equal(picture.levels[0], planes[0].transpose(2, 1, 0))
-    assert picture.scale == {"z": 1.5, "y": 0.25, "x": 0.5}
+    assert picture.pixel_size == {"z": 1.5, "y": 0.25, "x": 0.5}
 
 
 def test_only_the_chunks_asked_for_are_read(tmp_path, planes):

@@ -54,19 +54,23 @@ def names_in(folder):
 def test_store_holds_the_values_and_says_what_they_are(tmp_path, blur):
     about = {"quantity": "defocus blur", "unit": "px", "settings": {"window": 41}}
     path = finished(
-        tmp_path / "a.ome.zarr", blur, scale={"y": 0.25, "x": 0.5}, units=MICRONS, attributes=about
+        tmp_path / "a.ome.zarr",
+        blur,
+        pixel_size={"y": 0.25, "x": 0.5},
+        units=MICRONS,
+        attributes=about,
     )
     Image.from_zarr(zarr.open_group(path, mode="r"))
     picture = read_ome_zarr(path)
     np.testing.assert_array_equal(picture.levels[0], blur)
     assert (picture.axes, picture.units) == ("yx", MICRONS)
-    assert picture.scale == {"y": 0.25, "x": 0.5}
+    assert picture.pixel_size == {"y": 0.25, "x": 0.5}
     assert picture.attributes == about
     assert names_in(tmp_path) == ["a.ome.zarr"]
 
 
 def test_pyramid_lies_on_the_picture(tmp_path, blur):
-    path = finished(tmp_path / "a.zarr", blur, scale={"y": 0.25, "x": 0.5})
+    path = finished(tmp_path / "a.zarr", blur, pixel_size={"y": 0.25, "x": 0.5})
     levels = read_ome_zarr(path).levels
     assert [level.shape for level in levels] == [(1100, 700), (550, 350), (275, 175)]
     coarse = levels[1].compute()
@@ -85,7 +89,9 @@ def test_axes_are_stored_as_ome_zarr_orders_them(tmp_path, axes):
     sizes = {"t": 2, "z": 3, "q": 2, "y": 40, "x": 30, "s": 3}
     shape = tuple(sizes[a] for a in axes)
     values = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
-    path = finished(tmp_path / "a.zarr", values, axes, scale=dict.fromkeys(set(axes) - {"s"}, 2.0))
+    path = finished(
+        tmp_path / "a.zarr", values, axes, pixel_size=dict.fromkeys(set(axes) - {"s"}, 2.0)
+    )
     Image.from_zarr(zarr.open_group(path, mode="r"))
     picture = read_ome_zarr(path)
     order = [axes.index(letter.replace("c", "s")) for letter in picture.axes]
@@ -292,7 +298,7 @@ def test_folder_of_something_else_is_never_replaced(tmp_path):
         ({"axes": "qpyx", "shape": (2, 2, 9, 9)}, "one at most besides"),
         ({"shape": (0, 9)}, "sizes above 0"),
         ({"tile": 1}, "tile is 1; it takes 16"),
-        ({"scale": {"z": 1.0}}, "scale has the axes z; axes is 'yx'"),
+        ({"pixel_size": {"z": 1.0}}, "pixel_size has the axes z; axes is 'yx'"),
         ({"dtype": "complex64"}, "dtype is complex64"),
         ({"attributes": {"a": object()}}, "attributes takes what JSON can hold"),
     ],

@@ -233,11 +233,11 @@ def test_calls_at_the_same_time_have_a_process_each_and_one_is_kept():
 
 
 @pytest.mark.usefixtures("_none_is_kept")
-def test_each_lane_has_a_process_of_its_own_which_is_kept():
-    pids = {lane: run_elsewhere(errands.process_id, lane=lane) for lane in ("", "quick")}
+def test_each_channel_has_a_process_of_its_own_which_is_kept():
+    pids = {name: run_elsewhere(errands.process_id, channel=name) for name in ("", "quick")}
     assert pids[""] != pids["quick"]
-    for lane in ("quick", ""):
-        assert run_elsewhere(errands.process_id, lane=lane) == pids[lane]
+    for name in ("quick", ""):
+        assert run_elsewhere(errands.process_id, channel=name) == pids[name]
 
 
 def test_nothing_is_printed_and_nobody_is_asked(capfd):

@@ -23,7 +23,7 @@ from napari_defocus import (
     simulate_layered_defocus,
 )
 from napari_defocus.core.image import decode_srgb
-from napari_defocus.restoration import refocusing
+from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import RefocusSettings
 
 SIDE = 80
@@ -67,7 +67,7 @@ def no_restoration(monkeypatch):
     def restore(*arguments, **settings):
         raise AssertionError("restored")
 
-    monkeypatch.setattr(refocusing, "restore_all_in_focus", restore)
+    monkeypatch.setattr(Restoration, "restored", restore)
 
 
 # What comes out.

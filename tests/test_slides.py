@@ -137,7 +137,7 @@ def test_stack_of_a_confocal_microscope_keeps_planes_channels_and_scale(
     )
     source = open_source(write_lsm(tmp_path / "a.lsm", values, axes))
     assert source.axes == axes
-    assert source.scale == pytest.approx({"z": 0.5, "y": 0.1, "x": 0.1})
+    assert source.pixel_size == pytest.approx({"z": 0.5, "y": 0.1, "x": 0.1})
     assert source.units["z"] == "micrometer"
     np.testing.assert_array_equal(source.data.compute(scheduler="synchronous"), values)
     part = source.data[1:3, ..., 7:20, 30:]

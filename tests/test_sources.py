@@ -166,7 +166,7 @@ def test_stack_has_its_planes_scale_and_units(tmp_path, rng, kind):
         values = values.reshape(6, 70, 90)
     else:
         assert source.axes == "tzyx"
-    assert (source.scale, source.units) == SCALES[kind]
+    assert (source.pixel_size, source.units) == SCALES[kind]
     assert source.plane_shape == values.shape[:-2]
     for index in source.planes():
         np.testing.assert_array_equal(source.plane(index), values[index])
@@ -209,7 +209,7 @@ def test_stack_in_several_files_is_one(tmp_path, rng):
         options = {"compression": "zlib", "metadata": None, "description": xml}
         tifffile.imwrite(tmp_path / name, plane, **options)
     source = open_source(tmp_path / "a.ome.tif")
-    assert (source.axes, source.scale) == ("zyx", {"x": 0.5})
+    assert (source.axes, source.pixel_size) == ("zyx", {"x": 0.5})
     np.testing.assert_array_equal(read(source), values)
     (tmp_path / "b.ome.tif").unlink()
     np.testing.assert_array_equal(read(open_source(tmp_path / "a.ome.tif"))[1], 0)
@@ -234,7 +234,7 @@ def test_resolution_counts_in_centimetres_not_in_dots_an_inch(tmp_path, rng):
         options = {"resolution": (40000, 20000), "resolutionunit": unit}
         tifffile.imwrite(tmp_path / name, bytes_of(rng, 20, 30), metadata=None, **options)
         source = open_source(tmp_path / name)
-        assert source.scale == pytest.approx(scale)
+        assert source.pixel_size == pytest.approx(scale)
         assert source.units == dict.fromkeys(scale, MICRON)
 
 
@@ -318,9 +318,11 @@ def zarr_of(path, values, axes, **more):
 def test_store_is_a_stack_with_scale_and_units(tmp_path, rng):
     values = words_of(rng, 2, 3, 40, 50)
     scale, units = {"z": 1.5, "y": 0.25, "x": 0.25}, dict.fromkeys("zyx", MICRON)
-    source = open_source(zarr_of(tmp_path / "s.zarr", values, "czyx", scale=scale, units=units))
+    source = open_source(
+        zarr_of(tmp_path / "s.zarr", values, "czyx", pixel_size=scale, units=units)
+    )
     assert (source.axes, source.plane_shape) == ("czyx", (2, 3))
-    assert (source.scale, source.units) == (scale, units)
+    assert (source.pixel_size, source.units) == (scale, units)
     np.testing.assert_array_equal(source.plane((1, 2)), values[1, 2])
 
 

@@ -6,13 +6,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import fftconvolve
 
 from napari_defocus import Disc
-from napari_defocus.likelihood.blur_spectra import (
-    check_windows,
-    fit_log_spectra,
-    fit_report,
-    label_scales,
-    spectrum_table,
-)
+from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
+from napari_defocus.likelihood.exact_spectra import check_windows
+from napari_defocus.likelihood.fitted_spectra import fit_log_spectra, fit_report
 from napari_defocus.likelihood.gabor import frequencies, gradients, local_power
 from napari_defocus.psf.families import Annulus, Gaussian, KernelFunction, Polygon
 from napari_defocus.psf.measured import MeasuredPSF

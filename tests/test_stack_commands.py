@@ -52,7 +52,7 @@ def test_composite_and_positions_are_those_of_the_function_and_keep_the_scale(st
     np.testing.assert_array_equal(tifffile.imread(position), found.position)
     np.testing.assert_array_equal(tifffile.imread(sure), found.confidence)
     assert made_by(position)["quantity"] == "position of best focus"
-    assert open_source(position).scale == pytest.approx({"y": 0.25, "x": 0.25})
+    assert open_source(position).pixel_size == pytest.approx({"y": 0.25, "x": 0.25})
 
 
 def test_json_tells_the_planes_and_given_px_are_used(stack):

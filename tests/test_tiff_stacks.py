@@ -60,17 +60,17 @@ def test_stack_is_read_again_with_scale_and_units(tmp_path, rng, axes, dtype, ca
     known["x"] = (250.0, "nanometer")
     scale = {a: known[a][0] for a in axes if a in known}
     units = {a: known[a][1] for a in axes if a in known}
-    path = written(tmp_path / "s.ome.tif", values, axes, scale=scale, units=units)
+    path = written(tmp_path / "s.ome.tif", values, axes, pixel_size=scale, units=units)
     source = open_source(path)
     assert caplog.text == "", "nothing that tifffile complains about"
     np.testing.assert_array_equal(source.data, values)
     assert made_by(path)["axes"] == axes.upper()
     assert ABOUT.items() <= made_by(path).items()
     if set(axes) & set("tcz"):
-        assert (source.axes, source.scale, source.units) == (axes, scale, units)
+        assert (source.axes, source.pixel_size, source.units) == (axes, scale, units)
     else:
         assert source.axes == axes
-        assert source.scale == pytest.approx({"y": 0.5, "x": 0.25})
+        assert source.pixel_size == pytest.approx({"y": 0.5, "x": 0.25})
 
 
 def test_masks_keep_what_is_thin(tmp_path):

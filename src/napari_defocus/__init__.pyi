@@ -61,23 +61,17 @@ from .labeling.regions import (
 from .labeling.regions import (
     measure_regions as measure_regions,
 )
-from .likelihood.blur_spectra import (
-    FitReport as FitReport,
-)
-from .likelihood.blur_spectra import (
-    fit_report as fit_report,
-)
 from .likelihood.candidates import (
     BlurCandidates as BlurCandidates,
 )
-from .likelihood.noise import (
-    ShotNoise as ShotNoise,
+from .likelihood.fitted_spectra import (
+    FitReport as FitReport,
+)
+from .likelihood.fitted_spectra import (
+    fit_report as fit_report,
 )
 from .likelihood.noise import (
     estimate_noise_variance as estimate_noise_variance,
-)
-from .likelihood.noise import (
-    estimate_shot_noise as estimate_shot_noise,
 )
 from .likelihood.psf_comparison import (
     PSFComparison as PSFComparison,
@@ -87,6 +81,12 @@ from .likelihood.psf_comparison import (
 )
 from .likelihood.psf_comparison import (
     compare_psf as compare_psf,
+)
+from .likelihood.shot_noise import (
+    ShotNoise as ShotNoise,
+)
+from .likelihood.shot_noise import (
+    estimate_shot_noise as estimate_shot_noise,
 )
 from .optics.mesh import (
     DepthSurface as DepthSurface,

@@ -32,7 +32,7 @@ from napari_defocus.labeling.confidence import map_confidence
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.labeling.segmentation import labeled_mask
 from napari_defocus.likelihood import gabor, maxima, profile_likelihood
-from napari_defocus.likelihood.candidates import Estimation
+from napari_defocus.likelihood.estimation import Estimation
 from napari_defocus.psf.families import Disc
 
 _MODULES = (

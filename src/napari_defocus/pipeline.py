@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import napari_defocus
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.psf.families import radius_per_scale
-from napari_defocus.psf.text import psf_of
-from napari_defocus.settings import BLOCK_SIZE, CONFIDENT, MapSettings, MaskSettings
+from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,7 +16,7 @@ if TYPE_CHECKING:
 
     from napari_defocus.core.intensity import Intensities, IntensityRange, Limits
     from napari_defocus.likelihood.candidates import BlurCandidates
-    from napari_defocus.likelihood.noise import ShotNoise
+    from napari_defocus.likelihood.shot_noise import ShotNoise
     from napari_defocus.psf.families import PSFFamily
     from napari_defocus.restoration.all_in_focus import Restoration
 
@@ -120,7 +117,7 @@ def measure_candidates(
     *,
     axes: str | None = None,
     block_size: int = BLOCK_SIZE,
-) -> BlurCandidates:
+) -> Any:
     """Estimate the candidates of a picture, a stack or a dask array; find shot noise if asked to.
 
     Of a stack or a dask array, shot noise is that of its first plane.
@@ -235,17 +232,6 @@ def intensities_of(
     return prepare_image(picture, intensity_range).intensities
 
 
-def psf_for(text: str | None, map_file: Path | None) -> str:
-    """Return the PSF that is asked for, else that of the map, else the usual one."""
-    if text is not None:
-        return text
-    if map_file is None:
-        return MapSettings.psf
-    from napari_defocus.io.encoders import settings_in_tiff
-
-    return str(settings_in_tiff(map_file).get("psf", MapSettings.psf))
-
-
 def read_map(
     path: Path, confidence_path: Path | None, settings: MapSettings, shape: tuple[int, ...]
 ) -> Measurement:
@@ -303,13 +289,11 @@ def _read_values(path: Path, shape: tuple[int, ...], what: str) -> NDArray[Any]:
 
 def _family_up_to(largest: float, settings: MapSettings) -> PSFFamily:
     """Return the family of the settings, with a domain that goes up to a scale if it can."""
+    from napari_defocus.psf.families import radius_per_scale
+    from napari_defocus.psf.text import psf_of
+
     largest_radius = radius_per_scale(settings.family()) * largest
     return psf_of(settings.psf, max(settings.max_radius, largest_radius))
-
-
-def beside(image: Path, ending: str) -> Path:
-    """Return the path of a result that is not named."""
-    return image.parent / f"{image.stem}{ending}"
 
 
 def used(found: BlurCandidates | Measurement, settings: MapSettings) -> dict[str, Any]:
@@ -321,89 +305,7 @@ def used(found: BlurCandidates | Measurement, settings: MapSettings) -> dict[str
     return kept | file_facts(found)
 
 
-def picture_facts(
-    image: Path,
-    outputs: list[Path],
-    found: BlurCandidates | Measurement,
-    settings: MapSettings,
-) -> dict[str, Any]:
-    """Return what every command tells about a picture."""
-    from napari_defocus.io.pictures import told_choice_in
-
-    height, width = found.image_shape
-    variance, intensities = found.noise_variance, found.intensities
-    levels = 255.0 if intensities is None else intensities.grey_levels
-    return {
-        "image": str(image),
-        "taken": told_choice_in(image),
-        "width": width,
-        "height": height,
-        "psf": settings.psf,
-        "scale": found.psf.scale_name,
-        "noise_variance": variance,
-        "noise_sigma_grey_levels": None if variance is None else levels * variance**0.5,
-        "grey_levels": levels,
-        **intensity_facts(intensities),
-        "shot_noise": asdict(found.shot_noise) if found.shot_noise else None,
-        "files": [str(path) for path in outputs],
-    }
-
-
-def intensity_facts(intensities: Intensities | None) -> dict[str, Any]:
-    """Return what is told about intensities, in words, too; nothing if they are not known."""
-    return {} if intensities is None else intensities.facts() | {"intensities": str(intensities)}
-
-
 def file_facts(found: Measurement) -> dict[str, Any]:
     """Return what was read instead of measuring; None if it was not."""
     files = {"map": found.map_file, "map_confidence": found.confidence_file}
     return {name: path and str(path) for name, path in files.items()}
-
-
-def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]:
-    """Return what is told about a map."""
-    import numpy as np
-
-    low, median, high = np.nanpercentile(found.blur_map, [5, 50, 95])
-    facts = {
-        "blur_median_px": float(median),
-        "blur_p5_px": float(low),
-        "blur_p95_px": float(high),
-        "left_out_percent": 100.0 * float(np.isnan(found.trusted(min_confidence)).mean()),
-    }
-    if found.confidence is not None:
-        facts["confidence_median"] = float(np.median(found.confidence))
-        facts["confident_percent"] = 100.0 * float((found.confidence >= CONFIDENT).mean())
-    return facts
-
-
-def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
-    """Say what `picture_facts`, `file_facts` and `map_facts` are."""
-    yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
-    if facts["taken"]:
-        yield f"taken        {facts['taken']}"
-    yield f"lens         {facts['psf']}, scale: {facts['scale']}"
-    if facts.get("intensities"):
-        yield f"intensities  {facts['intensities']}"
-    if facts["noise_variance"] is not None:
-        variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
-        levels = f"{facts['grey_levels']:.6g} grey levels"
-        yield f"noise        variance {variance:.2g} (sigma {sigma:.3g} of {levels})"
-    if facts["shot_noise"]:
-        read, gain = facts["shot_noise"]["read_variance"], facts["shot_noise"]["gain"]
-        yield f"             variance {read:.2g} + {gain:.2g} x intensity"
-    if facts.get("map"):
-        yield f"map          {facts['map']}"
-    if "blur_median_px" in facts:
-        low, high = facts["blur_p5_px"], facts["blur_p95_px"]
-        yield (
-            f"blur         median {facts['blur_median_px']:.1f} px, "
-            f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
-        )
-    if "confidence_median" in facts:
-        yield (
-            f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
-            f"{facts['confident_percent']:.1f} % of the picture"
-        )
-    if facts.get("left_out_percent"):
-        yield f"left out     {facts['left_out_percent']:.1f} % of the picture"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from napari_defocus.core.checks import (
     Linearize,
@@ -22,8 +23,10 @@ from napari_defocus.core.checks import (
     check_weights,
     check_whole,
 )
-from napari_defocus.psf.families import MAX_RADIUS, PSFFamily, radius_per_scale
-from napari_defocus.psf.text import psf_of
+from napari_defocus.psf import MAX_RADIUS
+
+if TYPE_CHECKING:
+    from napari_defocus.psf.families import PSFFamily
 
 COMPARED_PSFS = (
     "disc",
@@ -102,11 +105,15 @@ class MapSettings:
 
     def family(self) -> PSFFamily:
         """Return the PSF family that `psf` and `max_radius` say, see `psf_of`."""
+        from napari_defocus.psf.text import psf_of
+
         return psf_of(self.psf, self.max_radius)
 
 
 def usual_threshold(family: PSFFamily) -> float:
     """Return the default threshold of a mask in a family's own scale, in px, see `psf_of`."""
+    from napari_defocus.psf.families import radius_per_scale
+
     return MaskSettings.threshold / radius_per_scale(family)
 
 
@@ -174,7 +181,10 @@ class RefocusSettings:
     side : {"far", "near"}
         On which side of the old focus everything blurred lies.
     linearize : {"srgb"} or None
-        Decode into linear light, blur there, and encode again.
+        Decode into linear light, blur there, and encode again. Not the default of `MapSettings`:
+        what is measured may be a scan or a microscope's picture, which is linear, but what gets
+        another focus is looked at on a screen. One default for both would change pictures, or
+        maps, of calls and settings files as they are.
     """
 
     focus: float = 0.0

@@ -117,7 +117,7 @@ def test_results_are_lazy_lie_on_the_picture_and_are_those_of_the_whole(
     ]
     stored = read_ome_zarr(tmp_path / "slide blur (px).ome.zarr")
     assert stored.units == {"y": "micrometer", "x": "micrometer"}
-    assert stored.scale == {"y": 0.5, "x": 0.25}
+    assert stored.pixel_size == {"y": 0.5, "x": 0.25}
     assert stored.attributes["settings"]["noise_variance"] == 1e-5
     assert f"Kept in {tmp_path}" in found.summary
 

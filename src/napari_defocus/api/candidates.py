@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from numpy.typing import ArrayLike
 
-from napari_defocus.api.dispatch import tiled_planes
+from napari_defocus.api.dispatch import EstimationOptions, tiled_planes
 from napari_defocus.core.axes import arranged_image, said_axes
 from napari_defocus.core.checks import (
     Linearize,
@@ -16,10 +16,38 @@ from napari_defocus.core.checks import (
     check_noise_variance,
 )
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.candidates import BlurCandidates, Estimation, Search, check_search
-from napari_defocus.likelihood.noise import ShotNoise
+from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.estimation import Estimation, Search, check_search
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import Disc, PSFFamily
 from napari_defocus.settings import BLOCK_SIZE, MapSettings
+
+if TYPE_CHECKING:
+    from napari_defocus.tiled.candidates import LazyCandidates
+
+
+@overload
+def estimate_candidates(
+    image: ArrayLike,
+    *,
+    spectra: Spectra = ...,
+    search: Search = ...,
+    axes: None = None,
+    channel_axis: None = None,
+    **options: Unpack[EstimationOptions],
+) -> BlurCandidates: ...
+
+
+@overload
+def estimate_candidates(
+    image: Any,
+    *,
+    spectra: Spectra = ...,
+    search: Search = ...,
+    axes: str | None = ...,
+    channel_axis: int | None = ...,
+    **options: Unpack[EstimationOptions],
+) -> BlurCandidates | LazyCandidates: ...
 
 
 def estimate_candidates(
@@ -38,7 +66,7 @@ def estimate_candidates(
     channel_axis: int | None = None,
     block_size: int = BLOCK_SIZE,
     progress: Progress = silent,
-) -> BlurCandidates:
+) -> BlurCandidates | LazyCandidates:
     """Estimate which blur scales are likely around every place of a picture.
 
     Sections II and III-A of [1]_: Gabor filters give the local power spectra of both gradients
@@ -134,6 +162,5 @@ def estimate_candidates(
         from napari_defocus.tiled.candidates import LazyCandidates
 
         planes = tiled_planes(image, roles, intensity_range)
-        lazy: Any = LazyCandidates(planes, how, noise_variance, block_size)
-        return lazy
+        return LazyCandidates(planes, how, noise_variance, block_size)
     return how.candidates(how.prepared(image), noise_variance, progress)

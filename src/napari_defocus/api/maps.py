@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from typing import Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.api.candidates import estimate_candidates
-from napari_defocus.api.dispatch import lazy_candidates
+from napari_defocus.api.dispatch import EstimationOptions, is_lazy_candidates
 from napari_defocus.core.axes import arranged_image, said_axes
 from napari_defocus.core.checks import (
     Linearize,
@@ -22,9 +22,12 @@ from napari_defocus.labeling.blur_map import extrapolated, labeled_blur_map
 from napari_defocus.labeling.confidence import confidence_and_caution, map_confidence
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.likelihood.noise import ShotNoise
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import Disc, PSFFamily
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, RestorationSettings
+
+if TYPE_CHECKING:
+    from napari_defocus.tiled.candidates import LazyCandidates
 
 Float32 = NDArray[np.float32]
 
@@ -33,20 +36,12 @@ Float32 = NDArray[np.float32]
 def estimate_blur_map(
     image: ArrayLike,
     *,
-    psf: PSFFamily = ...,
-    noise_variance: float | ShotNoise | None = ...,
-    window: int = ...,
-    stride: int = ...,
-    linearize: Linearize | None = ...,
     smoothness: float = ...,
     color_sigma: float = ...,
-    mode: Mode = ...,
-    intensity_range: tuple[float, float] | None = ...,
     return_confidence: Literal[False] = ...,
     axes: str | None = ...,
     channel_axis: int | None = ...,
-    block_size: int = ...,
-    progress: Progress = ...,
+    **options: Unpack[EstimationOptions],
 ) -> Float32: ...
 
 
@@ -54,20 +49,12 @@ def estimate_blur_map(
 def estimate_blur_map(
     image: ArrayLike,
     *,
-    psf: PSFFamily = ...,
-    noise_variance: float | ShotNoise | None = ...,
-    window: int = ...,
-    stride: int = ...,
-    linearize: Linearize | None = ...,
     smoothness: float = ...,
     color_sigma: float = ...,
-    mode: Mode = ...,
-    intensity_range: tuple[float, float] | None = ...,
     return_confidence: Literal[True],
     axes: str | None = ...,
     channel_axis: int | None = ...,
-    block_size: int = ...,
-    progress: Progress = ...,
+    **options: Unpack[EstimationOptions],
 ) -> tuple[Float32, Float32]: ...
 
 
@@ -152,9 +139,8 @@ def estimate_blur_map(
         block_size=block_size,
         progress=within(progress, 0.0, 0.4),
     )
-    lazy = lazy_candidates(candidates)
-    if lazy is not None:
-        found = lazy.results(image, progress, map=settings, confidence=return_confidence)
+    if is_lazy_candidates(candidates):
+        found = candidates.results(image, progress, map=settings, confidence=return_confidence)
         return tuple(found.values()) if return_confidence else found["blur_map"]
     problem = LabelingProblem.of(candidates, arranged_image(image, axes)[0], intensity_range)
     blur_map = labeled_blur_map(problem, settings, progress=within(progress, 0.4, 1.0))
@@ -187,8 +173,20 @@ def label_blur_map(
 ) -> tuple[Float32, NDArray[np.bool_]]: ...
 
 
+@overload
 def label_blur_map(
-    candidates: BlurCandidates,
+    candidates: LazyCandidates,
+    image: Any,
+    *,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    return_extrapolated: bool = ...,
+    progress: Progress = ...,
+) -> Any: ...
+
+
+def label_blur_map(
+    candidates: BlurCandidates | LazyCandidates,
     image: ArrayLike,
     *,
     smoothness: float = MapSettings.smoothness,
@@ -266,16 +264,23 @@ def label_blur_map(
         return_extrapolated = return_carried_in
     settings = MapSettings(smoothness=smoothness, color_sigma=color_sigma)
     check_flag("return_extrapolated", return_extrapolated)
-    lazy = lazy_candidates(candidates)
-    if lazy is not None:
-        found = lazy.results(image, progress, map=settings, extrapolated=return_extrapolated)
+    if is_lazy_candidates(candidates):
+        found = candidates.results(image, progress, map=settings, extrapolated=return_extrapolated)
         return tuple(found.values()) if return_extrapolated else found["blur_map"]
     problem = LabelingProblem.of(candidates, image, intensity_range)
     blur_map = labeled_blur_map(problem, settings, progress=progress)
     return (blur_map, extrapolated(problem)) if return_extrapolated else blur_map
 
 
-def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
+@overload
+def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32: ...
+
+
+@overload
+def confidence_map(candidates: LazyCandidates, blur_map: Any) -> Any: ...
+
+
+def confidence_map(candidates: BlurCandidates | LazyCandidates, blur_map: ArrayLike) -> Float32:
     """Return the probability that each radius of a blur map is within 0.5 px of the true one.
 
     It comes from the whole curve log p(r): what share of the likelihood, limited in depth and
@@ -315,14 +320,26 @@ def confidence_map(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     >>> confidence_map(candidates, label_blur_map(candidates, picture)).shape
     (100, 100)
     """
-    lazy = lazy_candidates(candidates)
-    if lazy is not None:
-        return lazy.judged(blur_map)["confidence"]
+    if is_lazy_candidates(candidates):
+        return candidates.judged(blur_map)["confidence"]
     return map_confidence(candidates, blur_map)
 
 
+@overload
 def cautious_blur_map(
-    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = RestorationSettings.risk
+    candidates: BlurCandidates, blur_map: ArrayLike, *, risk: float = ...
+) -> Float32: ...
+
+
+@overload
+def cautious_blur_map(candidates: LazyCandidates, blur_map: Any, *, risk: float = ...) -> Any: ...
+
+
+def cautious_blur_map(
+    candidates: BlurCandidates | LazyCandidates,
+    blur_map: ArrayLike,
+    *,
+    risk: float = RestorationSettings.risk,
 ) -> Float32:
     """Return how much of the blur of a map is safe to take away.
 
@@ -364,7 +381,6 @@ def cautious_blur_map(
     True
     """
     check_risk(risk)
-    lazy = lazy_candidates(candidates)
-    if lazy is not None:
-        return lazy.judged(blur_map, risk)["cautious"]
+    if is_lazy_candidates(candidates):
+        return candidates.judged(blur_map, risk)["cautious"]
     return confidence_and_caution(candidates, blur_map, risk=risk)[1]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any, overload
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.api.dispatch import lazy_candidates
+from napari_defocus.api.dispatch import is_lazy_candidates
 from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.problem import LabelingProblem
@@ -14,9 +16,39 @@ from napari_defocus.labeling.segmentation import labeled_mask
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.settings import MaskSettings
 
+if TYPE_CHECKING:
+    from napari_defocus.tiled.candidates import LazyCandidates
 
+
+@overload
 def segment_in_focus(
     candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    threshold: float = ...,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    seeds: ArrayLike | None = ...,
+    intensity_range: tuple[float, float] | None = ...,
+    progress: Progress = ...,
+) -> NDArray[np.uint8]: ...
+
+
+@overload
+def segment_in_focus(
+    candidates: LazyCandidates,
+    image: Any,
+    *,
+    threshold: float = ...,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    seeds: Any = ...,
+    progress: Progress = ...,
+) -> Any: ...
+
+
+def segment_in_focus(
+    candidates: BlurCandidates | LazyCandidates,
     image: ArrayLike,
     *,
     threshold: float = MaskSettings.threshold,
@@ -75,12 +107,18 @@ def segment_in_focus(
     >>> int(segment_in_focus(estimate_candidates(picture), picture).max())
     0
     """
-    lazy = lazy_candidates(candidates)
-    check_threshold(threshold, float(candidates.scales[-1]))
-    settings = MaskSettings(threshold=threshold, smoothness=smoothness, color_sigma=color_sigma)
-    if lazy is not None:
-        return lazy.results(image, progress, seeds=seeds, mask=settings)["mask"]
+    if is_lazy_candidates(candidates):
+        settings = _checked(threshold, smoothness, color_sigma, candidates.scales)
+        return candidates.results(image, progress, seeds=seeds, mask=settings)["mask"]
+    settings = _checked(threshold, smoothness, color_sigma, candidates.scales)
     if seeds is not None:
         checked_seeds(seeds, candidates.image_shape)
     problem = LabelingProblem.of(candidates, image, intensity_range)
     return labeled_mask(problem, settings, seeds=seeds, progress=progress)
+
+
+def _checked(
+    threshold: float, smoothness: float, color_sigma: float, scales: NDArray[np.floating]
+) -> MaskSettings:
+    check_threshold(threshold, float(scales[-1]))
+    return MaskSettings(threshold=threshold, smoothness=smoothness, color_sigma=color_sigma)

@@ -71,6 +71,11 @@ class BatchReport:
     left_out : dict of str to int
         How many files of the folders and patterns were no pictures, by their endings, such as
         ".txt"; "result" for what this package made, "folder" for folders in a folder.
+
+    Examples
+    --------
+    >>> BatchReport(Path("measured", "table.csv"), planes=12, failed=1).failed
+    1
     """
 
     table: Path

@@ -386,7 +386,7 @@ def _convert(store: Path, path: Path) -> None:
         path,
         source.data,
         axes=source.axes,
-        scale=source.scale,
+        pixel_size=source.pixel_size,
         units=source.units,
         description=attributes,
         labels=source.data.dtype == np.uint8,

@@ -244,7 +244,7 @@ def begin(
         for kind in plan.kinds
     )
     height, width = plane_size(source)
-    known = source_facts(str(each.given), source.scale, source.units)
+    known = source_facts(str(each.given), source.pixel_size, source.units)
     return SourceWork(
         input=each,
         notes=notes,
@@ -301,7 +301,7 @@ def _with_writer(target: Target, source: Source, plan: BatchPlan, *, complete: b
         shape=shape,
         dtype=KINDS[target.kind].dtype,
         axes=axes,
-        scale={axis: step for axis, step in source.scale.items() if axis in axes},
+        pixel_size={axis: step for axis, step in source.pixel_size.items() if axis in axes},
         units={axis: unit for axis, unit in source.units.items() if axis in axes},
         attributes=plan.description(target.kind),
         labels=target.kind == "mask",

@@ -162,12 +162,12 @@ def _percentile(counts: NDArray[np.int64], percent: float, step: float) -> float
     return step * int(np.searchsorted(total, percent / 100 * total[-1]))
 
 
-def source_facts(source: str, scale: Mapping[str, float], units: Mapping[str, str]) -> Row:
+def source_facts(source: str, pixel_size: Mapping[str, float], units: Mapping[str, str]) -> Row:
     """Return what a row says of where its picture is from."""
     sizes = {
-        name: scale[axis] * _UM[units[axis]]
+        name: pixel_size[axis] * _UM[units[axis]]
         for axis, name in (("x", "pixel_width_um"), ("y", "pixel_height_um"))
-        if axis in scale and units.get(axis) in _UM
+        if axis in pixel_size and units.get(axis) in _UM
     }
     return {"source": source, **sizes}
 

@@ -2,23 +2,55 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from napari_defocus.cli.console import errors_in_one_line, print_result, progress_in_terminal
-from napari_defocus.cli.option_groups import Reporting
+from napari_defocus.cli.option_groups import Reporting, with_options
 from napari_defocus.core.progress import CompilationClock, Progress
+
+Facts = Mapping[str, Any]
+Lines = Callable[[Facts], Iterator[str]]
+
+
+def command(
+    lines: Lines, text: str = "", *, end: Callable[[Facts], None] | None = None
+) -> Callable[[Callable[..., dict[str, Any]]], Callable[..., None]]:
+    """Return a decorator that makes a terminal command of a function that returns facts.
+
+    Parameters
+    ----------
+    lines : callable
+        Returns what is said of the facts; --json prints themselves.
+    text : str
+        What is to be said of the function's parameters, see `with_options`; `progress` is lent.
+    end : callable, optional
+        Called with the facts when they are printed.
+    """
+
+    def made(work: Callable[..., dict[str, Any]]) -> Callable[..., None]:
+        taken = dict(inspect.signature(work, eval_str=True).parameters)
+        taken["reporting"] = taken.pop("progress").replace(name="reporting", annotation=Reporting)
+
+        def run_with(*, reporting: Reporting, **options: Any) -> None:
+            facts = run(lambda progress: work(**options, progress=progress), lines, reporting)
+            if end is not None:
+                end(facts)
+
+        shown = with_options(run_with, list(taken.values()), text)
+        shown.__doc__ = work.__doc__
+        return shown
+
+    return made
 
 
 def run(
-    work: Callable[[Progress], dict[str, Any]],
-    lines: Callable[[Mapping[str, Any]], Iterator[str]],
-    reporting: Reporting,
-) -> None:
-    """Do the work of a command and print the facts that it returns."""
+    work: Callable[[Progress], dict[str, Any]], lines: Lines, reporting: Reporting
+) -> dict[str, Any]:
+    """Do the work of a command, print the facts that it returns, and return them."""
     started = time.perf_counter()
     with errors_in_one_line():
         with progress_in_terminal(reporting.quiet) as progress:
@@ -30,19 +62,13 @@ def run(
             print_result(json.dumps(facts))
         elif not reporting.quiet:
             print_result("\n".join(lines(facts)))
+    return facts
 
 
-def last_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+def last_lines(facts: Facts) -> Iterator[str]:
     """Say how long it took and what was written."""
     compiling = facts["seconds_compiling"]
     once = f", and {compiling:.1f} s to compile the program, once" if compiling >= 0.05 else ""
     yield f"time         {facts['seconds'] - compiling:.1f} s{once}"
     for path in facts["files"]:
         yield f"wrote        {path}"
-
-
-def check_endings(outputs: list[Path], *endings: str) -> None:
-    """Check what the names of results end in."""
-    for path in outputs:
-        if path.suffix.lower() not in endings:
-            raise ValueError(f"cannot write {path}: its name must end in {' or '.join(endings)}")

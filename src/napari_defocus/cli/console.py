@@ -50,19 +50,14 @@ def errors_in_one_line() -> Iterator[None]:
     try:
         yield
     except Ended as error:
-        _complain("ended")
+        complain("ended")
         raise typer.Exit(error.code) from None
-    except KeyboardInterrupt:
-        _complain("interrupted")
+    except KeyboardInterrupt as error:
+        for told in ("interrupted", *getattr(error, "__notes__", ())):
+            complain(told)
         raise typer.Exit(INTERRUPTED) from None
-    except MemoryError:
-        _complain("there is not enough memory for this picture")
-        raise typer.Exit(FAILED) from None
-    except (OSError, TypeError, ValueError) as error:
-        _complain(_told(error))
-        raise typer.Exit(FAILED) from None
     except Exception as error:
-        _complain(f"{type(error).__name__}: {error}")
+        complain(_told(error))
         raise typer.Exit(FAILED) from None
 
 
@@ -70,10 +65,16 @@ def _told(error: Exception) -> str:
     """Return a message in the words of the terminal."""
     from napari_defocus.core.writing import NeedsForce
 
-    return error.told("--force") if isinstance(error, NeedsForce) else str(error)
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this picture"
+    if isinstance(error, NeedsForce):
+        return error.told("--force")
+    known = isinstance(error, OSError | TypeError | ValueError)
+    return str(error) if known else f"{type(error).__name__}: {error}"
 
 
-def _complain(message: str) -> None:
+def complain(message: str) -> None:
+    """Say what went wrong, in one line on standard error."""
     typer.echo(f"napari-defocus: {' '.join(message.split())}", err=True)
 
 

@@ -3,80 +3,80 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 import napari_defocus
-from napari_defocus.cli.command import check_endings, last_lines, run
-from napari_defocus.cli.option_groups import MapOptions, Reporting
-from napari_defocus.cli.options import Force, ImagePath, SettingsFile
+from napari_defocus.cli.command import Facts, command, last_lines
+from napari_defocus.cli.description import lines_of, picture_facts
+from napari_defocus.cli.option_groups import MapOptions
+from napari_defocus.cli.results import Files, check_endings
 from napari_defocus.core.progress import Progress
-from napari_defocus.pipeline import lines_of, measure_map, picture_facts
+from napari_defocus.pipeline import measure_map
 
 if TYPE_CHECKING:
     from napari_defocus.labeling.explanation import PixelExplanation
-
-Row = Annotated[int, typer.Argument(metavar="ROW", help="From the top, in px; the first is 0.")]
-Column = Annotated[
-    int, typer.Argument(metavar="COLUMN", help="From the left, in px; the first is 0.")
-]
-CurveOutput = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="PATH",
-        help="Where to draw the likelihood of every radius (.png). Nothing is written if left out.",
-    ),
-]
 
 _SIZE, _DPI = (6.4, 4.0), 140
 """Of the drawing, in inches and pixels an inch."""
 
 
+def _lines(facts: Facts) -> Iterator[str]:
+    yield from lines_of(facts)
+    top, left, bottom, right = facts["window"]
+    yield f"pixel        row {facts['row']}, column {facts['column']}"
+    yield f"window       rows {top:g} to {bottom:g}, columns {left:g} to {right:g}"
+    yield f"blur         {facts['summary']}"
+    for remark in facts["remarks"]:
+        yield f"             {remark}"
+    yield from last_lines(facts)
+
+
+@command(
+    _lines,
+    """
+    row ROW
+        From the top, in px; the first is 0.
+    column COLUMN
+        From the left, in px; the first is 0.
+    output -o PATH
+        Where to draw the likelihood of every radius (.png). Nothing is written if left out.
+    """,
+)
 def explain(
-    image: ImagePath,
-    row: Row,
-    column: Column,
+    image: Path,
+    row: int,
+    column: int,
     *,
     measuring: MapOptions,
-    output: CurveOutput = None,
-    settings_file: SettingsFile = None,  # read by SettingsCommand
-    force: Force = False,
-    reporting: Reporting,
-) -> None:
+    output: Path | None = None,
+    settings_file: Path | None = None,
+    force: bool = False,
+    progress: Progress,
+) -> dict[str, Any]:
     """Tell why the blur map of IMAGE says what it says at one pixel."""
-    outputs = [output] if output else []
+    from napari_defocus.likelihood.candidates import check_place
 
-    def measure(progress: Progress) -> dict[str, Any]:
-        from napari_defocus.core import writing
-        from napari_defocus.io import pictures
-        from napari_defocus.likelihood.candidates import check_place
-
-        settings = measuring.settings()
-        check_endings(outputs, ".png")
-        picture = pictures.read_picture(image)
-        height, width = picture.shape[:2]
-        check_place(row, column, (height, width))
-        writing.check_results(outputs, force=force, source=image)
-        found = measure_map(picture, settings, measuring.intensity_range, progress)
-        assert found.candidates is not None
-        told = napari_defocus.explain_pixel(
-            found.candidates,
-            row,
-            column,
-            blur_map=found.blur_map,
-            confidence=found.confidence,
-            image=picture,
-            intensity_range=measuring.intensity_range,
-        )
-        writing.write_results({path: _drawing(told) for path in outputs}, force=force)
-        return picture_facts(image, outputs, found, settings) | _facts(told)
-
-    run(measure, _lines, reporting)
+    outputs, files = [output] if output else [], Files(force=force)
+    settings, intensity_range = measuring.settings(), measuring.intensity_range
+    check_endings(outputs, ".png")
+    picture = files.read(image, outputs)
+    height, width = picture.shape[:2]
+    check_place(row, column, (height, width))
+    found = measure_map(picture, settings, intensity_range, progress)
+    assert found.candidates is not None
+    told = napari_defocus.explain_pixel(
+        found.candidates,
+        row,
+        column,
+        blur_map=found.blur_map,
+        confidence=found.confidence,
+        image=picture,
+        intensity_range=intensity_range,
+    )
+    files.write({path: _drawing(told) for path in outputs})
+    return picture_facts(image, outputs, found, settings) | _facts(told)
 
 
 def _drawing(told: PixelExplanation) -> bytes:
@@ -111,14 +111,3 @@ def _facts(told: PixelExplanation) -> dict[str, Any]:
         "summary": told.summary(),
         "remarks": told.remarks(),
     }
-
-
-def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
-    yield from lines_of(facts)
-    top, left, bottom, right = facts["window"]
-    yield f"pixel        row {facts['row']}, column {facts['column']}"
-    yield f"window       rows {top:g} to {bottom:g}, columns {left:g} to {right:g}"
-    yield f"blur         {facts['summary']}"
-    for remark in facts["remarks"]:
-        yield f"             {remark}"
-    yield from last_lines(facts)

@@ -1,62 +1,48 @@
 """Options that come together in several terminal commands: a dataclass a group.
 
-A command takes a group as one parameter; `with_groups` shows typer an option for each of its
+A command takes a group as one parameter; `with_options` shows typer an option for each of its
 fields. What is new in a group is new in all commands that take it.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from functools import wraps
-from typing import Any, TypedDict, cast, get_type_hints
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
 
-from napari_defocus.cli.options import (
-    AsJson,
-    ColorSigma,
-    FNumber,
-    FocalLength,
-    FocusDistance,
-    IntensityRange,
-    KnownConfidence,
-    KnownMap,
-    LinearizeOption,
-    MapSmoothness,
-    MaxRadius,
-    ModeOption,
-    NoiseVariance,
-    PixelPitch,
-    PSFText,
-    PSFTextOrMaps,
-    Quiet,
-    SavedSettings,
-    SettingsFile,
-    ShotNoiseOption,
-    Stride,
-    Window,
-)
-from napari_defocus.pipeline import psf_for
-from napari_defocus.settings import MapSettings
+from napari_defocus.cli.options import SHARED, Entry, entries_in, shown
+from napari_defocus.core.checks import Linearize, Mode
+from napari_defocus.core.progress import Progress
+from napari_defocus.pipeline import Measurement, find_blur
+from napari_defocus.settings import MapSettings, RestorationSettings
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
 class OptionGroup:
-    """A dataclass whose fields are annotated as typer's options, and have defaults."""
+    """A dataclass whose fields are options, and have defaults."""
+
+    entries: ClassVar[dict[str, Entry]] = {}
+    """What is said otherwise than where other commands share it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceOptions(OptionGroup):
     """What the evidence of windows is measured with."""
 
-    psf: PSFText = MapSettings.psf
-    noise_variance: NoiseVariance = MapSettings.noise_variance
-    shot_noise: ShotNoiseOption = MapSettings.shot_noise
-    max_radius: MaxRadius = MapSettings.max_radius
-    window: Window = MapSettings.window
-    stride: Stride = MapSettings.stride
-    mode: ModeOption = MapSettings.mode
-    linearize: LinearizeOption = MapSettings.linearize
-    intensity_range: IntensityRange = None
+    psf: str = MapSettings.psf
+    noise_variance: float | None = MapSettings.noise_variance
+    shot_noise: bool = MapSettings.shot_noise
+    max_radius: float = MapSettings.max_radius
+    window: int = MapSettings.window
+    stride: int = MapSettings.stride
+    mode: Mode = MapSettings.mode
+    linearize: Linearize | None = MapSettings.linearize
+    intensity_range: tuple[float, float] | None = None
 
     def settings(self) -> MapSettings:
         """Return the settings that are asked for, checked."""
@@ -75,110 +61,107 @@ class EvidenceOptions(OptionGroup):
 class MapOptions(EvidenceOptions):
     """What a map is measured with."""
 
-    smoothness: MapSmoothness = MapSettings.smoothness
-    color_sigma: ColorSigma = MapSettings.color_sigma
+    smoothness: float = MapSettings.smoothness
+    color_sigma: float = MapSettings.color_sigma
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapOrFileOptions(MapOptions):
     """What a map is measured with, or the file that it is in."""
 
-    psf: PSFTextOrMaps = None  # type: ignore[assignment]  # left to the file
-    known_map: KnownMap = None
-    map_confidence: KnownConfidence = None
+    entries: ClassVar[dict[str, Entry]] = entries_in(f"""
+        psf TEXT
+            {SHARED["psf"].told} [default: {MapSettings.psf}, or that of the map that is given]
+    """)
 
-    def lens(self) -> str:
-        """Return what stands for the PSF; if none is asked for, that of the file."""
-        return psf_for(self.psf, self.known_map)
-
-
-class GivenLens(TypedDict):
-    """What is given of a lens, by the names of `ThinLens`; None is left to the picture's EXIF."""
-
-    focal_length_mm: float | None
-    f_number: float | None
-    focus_distance_m: float | None
-    pixel_pitch_um: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class LensOptions(OptionGroup):
-    """A thin lens."""
-
-    focal_length: FocalLength = None
-    f_number: FNumber = None
-    focus_distance: FocusDistance = None
-    pixel_pitch: PixelPitch = None
+    psf: str | None = None  # type: ignore[assignment]  # left to the file
+    known_map: Path | None = None
+    map_confidence: Path | None = None
 
     @property
-    def given(self) -> GivenLens:
-        """What is given of it."""
-        return GivenLens(
-            focal_length_mm=self.focal_length,
-            f_number=self.f_number,
-            focus_distance_m=self.focus_distance,
-            pixel_pitch_um=self.pixel_pitch,
-        )
+    def files(self) -> tuple[Path | None, Path | None]:
+        """The map and its confidence, as far as they are given."""
+        return self.known_map, self.map_confidence
+
+    def lens(self) -> str:
+        """Return what stands for the PSF; if none is asked for, that of the file, or the usual."""
+        if self.psf is not None:
+            return self.psf
+        if self.known_map is None:
+            return MapSettings.psf
+        from napari_defocus.io.encoders import settings_in_tiff
+
+        return str(settings_in_tiff(self.known_map).get("psf", MapSettings.psf))
+
+    def find(self, picture: NDArray[Any], settings: MapSettings, progress: Progress) -> Measurement:
+        """Return the map that is given, or else measure it."""
+        return find_blur(picture, settings, self.intensity_range, *self.files, progress)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SettingsFiles(OptionGroup):
-    """Where settings are read from, by `SettingsCommand`, and written to."""
+class RestorationOptions(OptionGroup):
+    """What shapes a picture all in focus; its noise is that of the map."""
 
-    settings_file: SettingsFile = None
-    save_settings: SavedSettings = None
+    tv_weight: float | None = RestorationSettings.tv_weight
+    risk: float = RestorationSettings.risk
+
+    def settings(self) -> RestorationSettings:
+        """Return the settings that are asked for, checked."""
+        return RestorationSettings(tv_weight=self.tv_weight, risk=self.risk)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reporting(OptionGroup):
     """How a command says what it has done."""
 
-    as_json: AsJson = False
-    quiet: Quiet = False
+    as_json: bool = False
+    quiet: bool = False
 
 
-def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+def with_options(
+    command: Callable[..., None], parameters: Sequence[inspect.Parameter], text: str
+) -> Callable[..., None]:
     """Return a command for typer: a parameter that is a group becomes an option a field.
 
     Parameters
     ----------
     command : callable
         Called with keywords only.
+    parameters : sequence of inspect.Parameter
+        What it takes, annotated with types.
+    text : str
+        What is to be said of them, see `entries_in`, as far as `SHARED` has it not or otherwise.
     """
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, type[Any]] = {}
-    parameters = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        annotation = hints[name]
-        if isinstance(annotation, type) and issubclass(annotation, OptionGroup):
-            groups[name] = annotation
-            parameters += _parameters_of(annotation)
-        else:
-            named = parameter.replace(annotation=annotation, kind=inspect.Parameter.KEYWORD_ONLY)
-            parameters.append(named)
+    own = entries_in(text)
+    groups = {each.name: each.annotation for each in parameters if _is_group(each)}
+    options = [option for each in parameters for option in _options(each, own)]
 
-    @wraps(command)
-    def called_by_typer(**options: Any) -> None:
-        given = {
-            name: group(**{field.name: options.pop(field.name) for field in fields(group)})
-            for name, group in groups.items()
-        }
-        command(**options, **given)
+    def called_by_typer(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
+        command(**given)
 
-    shown = cast(Any, called_by_typer)
-    shown.__signature__ = inspect.Signature(parameters)
-    shown.__annotations__ = {each.name: each.annotation for each in parameters}
+    called: Any = called_by_typer
+    called.__signature__ = inspect.Signature(options)
+    called.__annotations__ = {each.name: each.annotation for each in options}
     return called_by_typer
 
 
-def _parameters_of(group: type[Any]) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=hints[field.name],
-        )
-        for field in fields(group)
-    ]
+def _is_group(parameter: inspect.Parameter) -> bool:
+    return isinstance(parameter.annotation, type) and issubclass(parameter.annotation, OptionGroup)
+
+
+def _options(parameter: inspect.Parameter, own: dict[str, Entry]) -> Iterator[inspect.Parameter]:
+    name, default, taken = parameter.name, parameter.default, parameter.annotation
+    if not _is_group(parameter):
+        entry = own.get(name) or SHARED[name]
+        is_option = parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        yield shown(name, taken, default, entry, is_option=is_option)
+        return
+    types = _types_of_fields(taken)
+    entries = SHARED | taken.entries | own
+    for field in fields(taken):
+        yield shown(field.name, types[field.name], field.default, entries[field.name])
+
+
+_types_of_fields = cache(get_type_hints)

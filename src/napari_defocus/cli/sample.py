@@ -1,18 +1,20 @@
-"""The terminal command that writes a bundled photograph, to try the others on."""
+"""The terminal commands on photographs of ours: write one, and show what the others do."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.resources import files as resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import typer
-
-from napari_defocus.cli.command import check_endings, run
-from napari_defocus.cli.option_groups import Reporting
-from napari_defocus.cli.options import Force
-from napari_defocus.core.progress import Progress
+from napari_defocus.cli.command import Facts, command, last_lines
+from napari_defocus.cli.description import lines_of, map_facts, mask_facts, picture_facts
+from napari_defocus.cli.results import Files, check_endings, encoded_maps, encoded_masks
+from napari_defocus.core.checks import Linearize, check_threshold
+from napari_defocus.core.progress import Progress, within
+from napari_defocus.pipeline import label_map, measure_candidates, segment, shares
+from napari_defocus.settings import MapSettings, MaskSettings, usual_threshold
 
 SampleName = Literal["dandelion", "brushes"]
 
@@ -27,28 +29,90 @@ def sample_path(name: SampleName) -> Path:
     return Path(str(resources("napari_defocus") / "samples" / f"{name}.jpg"))
 
 
-def sample(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="What to write: a JPEG file.")
-    ] = Path("photo.jpg"),
-    *,
-    name: Annotated[SampleName, typer.Option(help="Which photograph.")] = "dandelion",
-    force: Force = False,
-    reporting: Reporting,
-) -> None:
-    """Write a photograph of ours, to try the other commands on."""
-
-    def write(_: Progress) -> dict[str, Any]:
-        from napari_defocus.core import writing
-
-        check_endings([file], ".jpg", ".jpeg")
-        writing.write_results({file: sample_path(name).read_bytes()}, force=force)
-        return {"sample": name, "author": AUTHORS[name], "files": [str(file)]}
-
-    run(write, _lines, reporting)
-
-
-def _lines(facts: Mapping[str, Any]) -> Iterator[str]:
+def _sample_lines(facts: Facts) -> Iterator[str]:
     yield f"picture      {facts['sample']}: {facts['author']}"
     for path in facts["files"]:
         yield f"wrote        {path}"
+
+
+@command(
+    _sample_lines,
+    """
+    file FILE
+        What to write: a JPEG file.
+    name
+        Which photograph.
+    """,
+)
+def sample(
+    file: Path = Path("photo.jpg"),
+    *,
+    name: SampleName = "dandelion",
+    force: bool = False,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Write a photograph of ours, to try the other commands on."""
+    check_endings([file], ".jpg", ".jpeg")
+    Files(force=force).write({file: sample_path(name).read_bytes()})
+    return {"sample": name, "author": AUTHORS[name], "files": [str(file)]}
+
+
+def _demo_lines(facts: Facts) -> Iterator[str]:
+    yield from lines_of(facts)
+    yield from last_lines(facts)
+
+
+@command(
+    _demo_lines,
+    """
+    folder FOLDER
+        Where to write; made if missing.
+    """,
+)
+def demonstrate(
+    folder: Path = Path("demo-output"),
+    *,
+    psf: str = MapSettings.psf,
+    shot_noise: bool = MapSettings.shot_noise,
+    linearize: Linearize | None = MapSettings.linearize,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Measure a picture of ours; all results go into FOLDER.
+
+    Running it again overwrites its results.
+    """
+    names = ("blur.tif", "blur.png", "confidence.png", "mask.png", "overlay.png")
+    outputs = [folder / f"dandelion-{name}" for name in names]
+    files = Files(force=True)
+    with _folder_for_results(folder):
+        settings = MapSettings(psf=psf, shot_noise=shot_noise, linearize=linearize)
+        family = settings.family()
+        threshold = usual_threshold(family)
+        check_threshold(threshold, family.max_scale)
+        picture = files.read(sample_path("dandelion"), outputs)
+        first, second = shares(progress)
+        candidates = measure_candidates(picture, settings, None, first)
+        found = label_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
+        mask_settings = MaskSettings(threshold=threshold)
+        mask = segment(candidates, picture, mask_settings, progress=within(second, 0.5, 1.0))
+        contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
+        files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))
+    facts = picture_facts(Path("dandelion.jpg"), outputs, found, settings)
+    return facts | map_facts(found) | mask_facts(mask)
+
+
+@contextmanager
+def _folder_for_results(folder: Path) -> Iterator[None]:
+    """Make the folder; take it away again if it is new and the work fails."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"cannot write into {folder}: it is no folder")
+    if not folder.absolute().parent.is_dir():
+        raise ValueError(f"cannot make {folder}: there is no folder {folder.parent}")
+    new = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if new:
+            folder.rmdir()
+        raise

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from typer.core import TyperCommand
 
 from napari_defocus.cli.console import errors_in_one_line
 from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 if TYPE_CHECKING:
     from napari_defocus.io.settings_file import Settings
+
+Said = Mapping[str, Mapping[str, Any]]
 
 PARTS_OF: dict[str, dict[str, type[Any]]] = {
     "map": {"map": MapSettings},
@@ -40,36 +42,30 @@ _RIVAL_OF = {
 """Given on the command line, the second says what the first would say."""
 
 
-class SettingsCommand(TyperCommand):
-    """A command with --settings: what is given as options wins over the file."""
+def options_from_file(ctx: typer.Context, path: Path | None) -> Path | None:
+    """Let a settings file say what the options of a command do not: the callback of --settings.
 
-    def invoke(self, ctx: Any) -> Any:
-        """Fill the options that are not given from the settings file, and run."""
-        path = ctx.params["settings_file"]
-        if path is not None:
-            with errors_in_one_line():
-                ctx.params |= _left_to_file(str(self.name), _said(path), ctx)
-        return super().invoke(ctx)
-
-
-def with_settings(outputs: list[Path], save_settings: Path | None) -> list[Path]:
-    """Return the files that a command will write, its settings' file included."""
-    return outputs if save_settings is None else [*outputs, save_settings]
-
-
-def saved_settings(path: Path | None, command: str, settings: Settings) -> dict[Path, bytes]:
-    """Return the file of the settings that a command has used, as `write_results` takes it.
-
-    Parameters
-    ----------
-    path : Path or None
-        Where it shall be; None for nowhere.
-    command : str
-        Only what its options say is written: a file says nothing of what was not used.
-    settings : Settings
+    Options that are not given are asked for last, so that what is given is known then.
     """
-    if path is None:
-        return {}
+    if path is not None:
+        from napari_defocus.io.settings_file import said_in
+
+        with errors_in_one_line():
+            said = said_in(path)
+        ctx.default_map = {
+            option: partial(_left_to_file, ctx, said, option, said.get(part, {}).get(key))
+            for option, (part, key) in _places(str(ctx.info_name)).items()
+            # It is asked for, said or not, to see whether two are said.
+            if key in said.get(part, {}) or option == "noise_variance"
+        }
+    return path
+
+
+def saved_settings(command: str, settings: Settings) -> bytes:
+    """Return the file of the settings that a command has used.
+
+    Only what its options say is written: a file says nothing of what was not used.
+    """
     from napari_defocus.io.settings_file import encoded_settings
 
     said = {*_places(command).values()}
@@ -82,7 +78,7 @@ def saved_settings(path: Path | None, command: str, settings: Settings) -> dict[
         for part, values in asdict(settings).items()
         if part in PARTS_OF[command]
     }
-    return {path: encoded_settings(parts)}
+    return encoded_settings(parts)
 
 
 def _places(command: str) -> dict[str, tuple[str, str]]:
@@ -97,49 +93,31 @@ def _places(command: str) -> dict[str, tuple[str, str]]:
     }
 
 
-def _said(path: Path) -> dict[str, dict[str, Any]]:
-    from napari_defocus.io.settings_file import said_in
-
-    return said_in(path)
-
-
-def _left_to_file(
-    command: str, said: Mapping[str, Mapping[str, Any]], ctx: typer.Context
-) -> dict[str, Any]:
-    """Return the options that a file says, and neither themselves nor a rival are given."""
-    options = {
-        option: said[part][key]
-        for option, (part, key) in _places(command).items()
-        if key in said.get(part, {})
-    }
-    if "restoration" in PARTS_OF[command] and not _given(ctx, "noise_variance"):
-        _check_one_noise(said)
-    if "encoding" in options:
-        options["encoding"] = options["encoding"] or "linear"
-    return {
-        option: value
-        for option, value in options.items()
-        if not _given(ctx, option) and not _rivalled(ctx, option)
-    }
-
-
-def _given(ctx: typer.Context, option: str) -> bool:
-    source = ctx.get_parameter_source(option)
-    return source is not None and source.name == "COMMANDLINE"
+def _left_to_file(ctx: typer.Context, said: Said, option: str, value: Any) -> Any:
+    """Return what a file says of an option that is not given, but its default if a rival is."""
+    with errors_in_one_line():
+        if option == "noise_variance" and "restoration" in PARTS_OF[str(ctx.info_name)]:
+            _check_one_noise(said)
+        if option == "encoding":
+            return value or "linear"
+        if _rivalled(ctx, option):
+            return False if option == "shot_noise" else None
+        return value
 
 
 def _rivalled(ctx: typer.Context, option: str) -> bool:
     rival = _RIVAL_OF.get(option, "")
-    if option != "psf":
-        return _given(ctx, rival)
-    if ctx.params.get(rival) is None:
+    source = ctx.get_parameter_source(rival)
+    if source is None or source.name != "COMMANDLINE":
         return False
+    if option != "psf":
+        return True
     from napari_defocus.io.encoders import settings_in_tiff
 
     return "psf" in settings_in_tiff(ctx.params[rival])
 
 
-def _check_one_noise(said: Mapping[str, Mapping[str, Any]]) -> None:
+def _check_one_noise(said: Said) -> None:
     """Refuse another noise for the restoration than for the map: one option says both."""
     restoring = said.get("restoration", {}).get("noise_variance")
     measuring = said.get("map", {}).get("noise_variance")

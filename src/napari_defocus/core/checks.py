@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from numbers import Integral, Rational, Real
 from typing import Any, Literal, get_args
 
@@ -145,3 +146,14 @@ def check_linearize(linearize: str | None) -> None:
         raise ValueError(
             f"linearize is {linearize!r}; it takes one of {get_args(Linearize)}, or None"
         )
+
+
+def check_number(
+    name: str, value: Any, fits: Callable[[Any], bool], takes: str, kind: type = Real
+) -> None:
+    """Refuse, naming it, what is of another type or does not fit."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} is {value!r}; it takes {takes}")
+    check_real(name, value, takes)
+    if not fits(value):
+        raise ValueError(f"{name} is {value}; it takes {takes}")

@@ -23,11 +23,15 @@ LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """ITU-R BT.601: the luminance that JPEG keeps at full resolution."""
 
 MIN_SIDE = 3
+"""px: the least side of a picture, that of second differences."""
 
 _LARGEST = 1e9
+"""Intensity, once it is scaled: its fourth power is still a number in single precision."""
 
 _DARK, _DARKEST = 0.5, 1e-3
-"""Of the range: pictures of less contrast are shown from this quantile to the opposite one."""
+"""Of the range: pictures of less contrast are shown from this quantile to the opposite one.
+Chosen by hand, for the eye.
+"""
 
 
 @dataclass(frozen=True)
@@ -167,6 +171,22 @@ def given_array(name: str, values: ArrayLike) -> NDArray[Any]:
     if np.ma.is_masked(values):
         raise ValueError(f"{name} has masked values; it takes an array without, such as filled()")
     return array
+
+
+def given_reals(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return an argument as an array of real numbers in double precision.
+
+    Raises
+    ------
+    TypeError
+        If its dtype is none of integers or floats.
+    ValueError
+        As `given_array`.
+    """
+    array = given_array(name, values)
+    if array.dtype.kind not in "uif":
+        raise TypeError(f"{name} has dtype {array.dtype}; it takes real numbers")
+    return array.astype(np.float64)
 
 
 def given_image(name: str, values: ArrayLike) -> NDArray[Any]:

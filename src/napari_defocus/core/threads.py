@@ -20,8 +20,7 @@ from typing import Any
 import numba
 
 _BANDS_A_THREAD = 4
-"""So that a thread whose rows are quick can take more of them."""
-
+"""So that a thread whose rows are quick can take more of them. Results do not depend on it."""
 
 _alone = threading.local()
 

@@ -1,16 +1,15 @@
-"""Functions of this package run in another process, so that no thread here waits for them.
+"""Functions of this package run in a worker process, so that no thread here waits for them.
 
 PyMaxflow never releases the GIL, and one cut of a large picture takes seconds: in a thread, it
-stops all others, a window's too. The other process is a plain Python that imports this package
+stops all others, a window's too. The worker process is a plain Python that imports this package
 and nothing of the caller's. It is kept for the next call, and ends when its parent does: at once,
 or after the cut that it is in if the parent was killed.
 
 Work that is no longer wanted ends at its next report; if it makes none for a while, its process
-ends.
+ends. Calls of different *channels* have a process each.
 
-A message is a pickle and the arrays in it, as they lie in memory: their number, their sizes in
-bytes, and they themselves. One that begins a call is (function, args, keywords); the answers are
-pairs of a word and what it is about. In between, the caller may send the word that stops the call.
+A message that begins a call is (function, args, keywords); the answers are pairs of a word and what
+it is about. In between, the caller may send the word that stops the call.
 """
 
 from __future__ import annotations
@@ -20,24 +19,27 @@ import os
 import pickle
 import queue
 import signal
-import struct
 import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from io import RawIOBase
 from typing import IO, Any, TypeVar, cast
 
-import numpy as np
-
+from napari_defocus.core.messages import (
+    Message,
+    packed,
+    pieces,
+    read_message,
+    unpacked,
+    write_piece,
+)
 from napari_defocus.core.progress import Cancelled, Progress, silent
 
 Result = TypeVar("Result")
-Message = list[memoryview]
 
 POLL_INTERVAL = 0.05
 """Seconds between two questions whether the result is still wanted."""
@@ -47,8 +49,6 @@ HANDING_OVER = "Handing over the work"
 LOADING = "Loading the program"
 """Steps before those of the function: each only where it takes its time."""
 
-_PIECE = 2**20
-"""Bytes sent before the next such question: about a millisecond."""
 
 _PIPE = 2**20
 """Bytes that wait to be read: with Linux' 64 KiB, 250 MB take up to 1.6 s, so 0.2 s."""
@@ -64,7 +64,6 @@ _NO_MEMORY = 112
 
 _KILLED = getattr(signal, "SIGKILL", 9)
 
-_NUMBER = struct.Struct("<Q")
 _READY = b"ready"
 _STOP = b"stop"
 _START = """
@@ -79,10 +78,10 @@ def run_elsewhere(
     function: Callable[..., Result],
     *args: Any,
     progress: Progress = silent,
-    lane: str = "",
+    channel: str = "",
     **keywords: Any,
 ) -> Result:
-    """Return ``function(*args, progress=progress, **keywords)``, worked out in another process.
+    """Return ``function(*args, progress=progress, **keywords)``, worked out in a worker process.
 
     Where there can be none, or it cannot be told what to do (some argument cannot be pickled), the
     calling thread does the work.
@@ -97,9 +96,9 @@ def run_elsewhere(
         Called as ``progress(step, done)`` in the calling thread: with every report, and with the
         last one again at least every 0.1 s. An exception from it ends the work: at its next
         report, or with its process if there is none within 0.3 s.
-    lane : str, optional
-        A process is kept for each: short calls need not wait for long ones, and find what they
-        left there.
+    channel : str, optional
+        A worker process is kept for each: short calls need not wait for long ones, and find what
+        they left there.
 
     Returns
     -------
@@ -111,26 +110,26 @@ def run_elsewhere(
     Exception
         Whatever `function` raises, with a note of where it was raised.
     MemoryError
-        If the system ended the other process, which it does when memory runs out.
+        If the system ended the worker process, which it does when memory runs out.
     RuntimeError
-        If the other process ended for another reason.
+        If the worker process ended for another reason.
     """
     try:
-        request = _packed((function, args, keywords))
+        request = packed((function, args, keywords))
     except Exception:  # pickling calls methods of the arguments: it may be any
         return function(*args, progress=progress, **keywords)
-    helper = _idle_or_new(lane)
-    if helper is None:
+    worker = _idle_or_new(channel)
+    if worker is None:
         return function(*args, progress=progress, **keywords)
     try:
-        word, about = helper.answer(request, progress)
+        word, about = worker.answer(request, progress)
     except BaseException:
-        if helper.stop():
-            _keep_one(helper, lane)
+        if worker.stop():
+            _keep_one(worker, channel)
         else:
-            helper.end()
+            worker.end()
         raise
-    _keep_one(helper, lane)
+    _keep_one(worker, channel)
     if word == "refused":
         return function(*args, progress=progress, **keywords)
     if word == "raised":
@@ -140,8 +139,8 @@ def run_elsewhere(
     return cast(Result, about)
 
 
-class _Helper:
-    """Another process and the pipes to it; used by one thread at a time."""
+class _Worker:
+    """A worker process and the pipes to it; used by one thread at a time."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdin is not None
@@ -172,7 +171,7 @@ class _Helper:
         self._send(request, report)
         self._is_working = True
         while (message := self._next(report)) is not None:
-            word, about = _unpacked(message)
+            word, about = unpacked(message)
             if word != "report":
                 self._is_working = False
                 return word, about
@@ -185,8 +184,8 @@ class _Helper:
         if not self._is_working:
             return False
         try:
-            for piece in _pieces([memoryview(_STOP)]):
-                _write(self._requests, piece)
+            for piece in pieces([memoryview(_STOP)]):
+                write_piece(self._requests, piece)
         except OSError:
             return False
         give_up = time.monotonic() + _GRACE
@@ -197,7 +196,7 @@ class _Helper:
                 return False
             if message is None:
                 return False
-            if _unpacked(message)[0] != "report":
+            if unpacked(message)[0] != "report":
                 self._is_working = False
                 return True
         return False
@@ -217,9 +216,9 @@ class _Helper:
                 ask()
 
     def _send(self, request: Message, ask: Callable[[], None]) -> None:
-        for piece in _pieces(request):
+        for piece in pieces(request):
             try:
-                _write(self._requests, piece)
+                write_piece(self._requests, piece)
             except OSError:
                 raise self._reason_of_end() from None
             ask()
@@ -227,7 +226,7 @@ class _Helper:
     def _listen(self, answers: IO[bytes]) -> None:
         try:
             with answers:
-                while (message := _read(answers)) is not None:
+                while (message := read_message(answers)) is not None:
                     self._messages.put(message)
         except MemoryError:
             self._answer_fits = False
@@ -241,14 +240,14 @@ class _Helper:
         return RuntimeError(f"the process that did the work ended with exit code {code}")
 
 
-_all: set[_Helper] = set()
-_idle: dict[str, _Helper] = {}
+_all: set[_Worker] = set()
+_idle: dict[str, _Worker] = {}
 _lock = threading.Lock()
 
 
-def _idle_or_new(lane: str) -> _Helper | None:
+def _idle_or_new(channel: str) -> _Worker | None:
     with _lock:
-        idle = _idle.pop(lane, None)
+        idle = _idle.pop(channel, None)
         if idle is not None:
             if idle.is_alive:
                 return idle
@@ -256,9 +255,9 @@ def _idle_or_new(lane: str) -> _Helper | None:
         process = _start()
         if process is None:
             return None
-        helper = _Helper(process)
-        _all.add(helper)
-        return helper
+        worker = _Worker(process)
+        _all.add(worker)
+        return worker
 
 
 def _start() -> subprocess.Popen[bytes] | None:
@@ -281,13 +280,13 @@ def _start() -> subprocess.Popen[bytes] | None:
     return None
 
 
-def _keep_one(helper: _Helper, lane: str) -> None:
-    """Keep a helper for a lane's next call; calls at the same time have had one each."""
+def _keep_one(worker: _Worker, channel: str) -> None:
+    """Keep a worker for a channel's next call; calls at the same time have had one each."""
     with _lock:
-        if helper.is_alive and lane not in _idle:
-            _idle[lane] = helper
+        if worker.is_alive and channel not in _idle:
+            _idle[channel] = worker
         else:
-            helper.end()
+            worker.end()
 
 
 def end_idle() -> None:
@@ -301,12 +300,12 @@ def end_idle() -> None:
 def _end_all() -> None:
     with _lock:
         _idle.clear()
-        for helper in list(_all):
-            helper.end()
+        for worker in list(_all):
+            worker.end()
 
 
 def serve() -> None:
-    """Be the other process: do what comes in on the standard input until that ends."""
+    """Be the worker process: do what comes in on the standard input until that ends."""
     # What anyone prints must not get between the messages, or onto a terminal.
     requests, answers = (
         os.fdopen(os.dup(stream), mode, 0) for stream, mode in ((0, "rb"), (1, "wb"))
@@ -322,7 +321,7 @@ def serve() -> None:
 
     def listen() -> None:
         try:
-            while (message := _read(requests)) is not None:
+            while (message := read_message(requests)) is not None:
                 if message == [_STOP]:
                     stopped.set()
                 else:
@@ -336,19 +335,19 @@ def serve() -> None:
 
     def tell(message: Message) -> None:
         try:
-            for piece in _pieces(message):
-                _write(answers, piece)
+            for piece in pieces(message):
+                write_piece(answers, piece)
         except OSError:
             os._exit(0)
 
     def report(step: str, done: float) -> None:
         if stopped.is_set():
             raise Cancelled
-        tell(_packed(("report", (step, done))))
+        tell(packed(("report", (step, done))))
 
     tell([memoryview(_READY)])
     first = received.get()
-    tell(_packed(("report", (LOADING, 0.0))))  # a name of a function imports its module
+    tell(packed(("report", (LOADING, 0.0))))  # a name of a function imports its module
     tell(_result(first, report))
     while True:
         tell(_result(received.get(), report))
@@ -356,13 +355,13 @@ def serve() -> None:
 
 def _result(request: Message, progress: Progress) -> Message:
     try:
-        function, args, keywords = _unpacked(request)
+        function, args, keywords = unpacked(request)
     except Exception:  # such as a function of the parent's __main__
-        return _packed(("refused", None))
+        return packed(("refused", None))
     try:
-        return _packed(("returned", function(*args, progress=progress, **keywords)))
+        return packed(("returned", function(*args, progress=progress, **keywords)))
     except Exception as error:
-        return _packed(("raised", (_portable(error), traceback.format_exc())))
+        return packed(("raised", (_portable(error), traceback.format_exc())))
 
 
 def _portable(error: Exception) -> Exception:
@@ -372,47 +371,3 @@ def _portable(error: Exception) -> Exception:
     except Exception:
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
-
-
-def _packed(value: Any) -> Message:
-    arrays: list[pickle.PickleBuffer] = []
-    pickled = pickle.dumps(value, protocol=5, buffer_callback=arrays.append)
-    return [memoryview(pickled), *(array.raw() for array in arrays)]
-
-
-def _unpacked(message: Message) -> Any:
-    return pickle.loads(message[0], buffers=message[1:])
-
-
-def _pieces(message: Message) -> Iterator[memoryview]:
-    sizes = (len(message), *(len(part) for part in message))
-    yield memoryview(b"".join(map(_NUMBER.pack, sizes)))
-    for part in message:
-        for start in range(0, len(part), _PIECE):
-            yield part[start : start + _PIECE]
-
-
-def _write(stream: IO[bytes], piece: memoryview) -> None:
-    while piece:
-        piece = piece[stream.write(piece) :]
-
-
-def _read(stream: IO[bytes]) -> Message | None:
-    """Read a message into memory that its arrays may be changed in; None at the end."""
-    try:
-        [count] = _NUMBER.unpack(_read_bytes(stream, _NUMBER.size))
-        sizes = [_NUMBER.unpack(_read_bytes(stream, _NUMBER.size))[0] for _ in range(count)]
-        return [_read_bytes(stream, size) for size in sizes]
-    except (EOFError, OSError):
-        return None
-
-
-def _read_bytes(stream: IO[bytes], size: int) -> memoryview:
-    read = np.empty(size, np.uint8).data  # a bytearray would be filled with zeros first
-    start = 0
-    while start < size:
-        count = cast(RawIOBase, stream).readinto(read[start:])
-        if not count:
-            raise EOFError
-        start += count
-    return read

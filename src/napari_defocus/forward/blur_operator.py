@@ -22,8 +22,10 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Int32 = NDArray[np.int32]
 
-_KERNEL_STEP = 0.05
-_STEPS_BETWEEN = 4
+_KERNEL_STEP, _STEPS_BETWEEN = 0.05, 4
+"""px between scales whose kernels are worked out, and how many steps of linear interpolation lie
+between. Chosen by hand.
+"""
 
 _LANES = 12
 """Weights that are worked on at once: of 12 pixels in a row, or of 4 with three channels."""

@@ -1,4 +1,4 @@
-"""The forward model of a scene with depth: nearer things hide parts of what lies behind them."""
+"""The occlusion model of a scene with depth: nearer things hide parts of what lies behind them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Float64 = NDArray[np.float64]
 RadiusOfDepth = Callable[[Float64], ArrayLike]
 
 _NOTHING = 1e-4
-"""Coverage that counts as none, above the rounding errors of the convolutions."""
+"""Coverage that counts as none, above the rounding errors of the convolutions. By hand."""
 
 
 def simulate_layered_defocus(
@@ -38,7 +38,7 @@ def simulate_layered_defocus(
     rng: int | np.random.Generator | None = None,
     intensity_range: tuple[float, float] | None = None,
 ) -> tuple[Float32, Float32]:
-    """Blur a sharp picture of a scene whose depth is known, with what hides what.
+    r"""Blur a sharp picture of a scene whose depth is known, with what hides what.
 
     The scene is cut into layers. The light of each is spread by the PSF of its own scale, and
     fills, nearest layer first, what the nearer ones leave of each pixel: no light of a sharp
@@ -46,6 +46,16 @@ def simulate_layered_defocus(
     edge, and layers of one surface add up without seams. What still is left was hidden in the
     sharp picture: it is filled with the blurred colours of the nearest places that are farther
     away. `simulate_defocus` knows no layers, and mixes both sides of every edge.
+
+    With the mask :math:`m_l` of each layer, 1 in it and 0 elsewhere, and the kernel :math:`h_l`
+    of its scale, light and coverage of layer l, the nearest being 1, are
+
+    .. math::
+        c_l = h_l \otimes (m_l f), \qquad \alpha_l = h_l \otimes m_l, \qquad
+        a_l = \min\left(\alpha_l, \, 1 - \sum_{k < l} a_k\right), \qquad
+        g = \frac{\sum_l c_l \, a_l / \alpha_l}{\sum_l a_l}
+
+    where what was hidden comes as more layers behind all others.
 
     Parameters
     ----------

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.checks import check_number
 from napari_defocus.core.image import prepare_light, with_unknown
 from napari_defocus.forward.blur_operator import BlurOperator, checked_scales
-from napari_defocus.psf.families import Disc, PSFFamily, as_family, check_number
+from napari_defocus.psf.families import Disc, PSFFamily, as_family
 
 Float32 = NDArray[np.float32]
 
@@ -21,10 +22,15 @@ def simulate_defocus(
     rng: int | np.random.Generator | None = None,
     intensity_range: tuple[float, float] | None = None,
 ) -> Float32:
-    """Blur a sharp picture by a map of scales and add noise, as (1) has it.
+    r"""Blur a sharp picture by a map of scales and add noise, as (1) has it.
 
-    Every output pixel gathers from its neighbours with the PSF of its own scale:
-    g[x] = sum_u h_{r(x)}[u] f[x - u] + n[x]. The picture is mirrored at its border.
+    Every output pixel gathers from its neighbours with the PSF of its own scale,
+
+    .. math:: g[\mathbf{x}] = \sum_{\mathbf{u}} h_{r(\mathbf{x})}[\mathbf{u}]
+        f[\mathbf{x} - \mathbf{u}] + n[\mathbf{x}], \qquad
+        n[\mathbf{x}] \sim \mathcal{N}(0, \sigma_n^2) \tag{1}
+
+    The picture is mirrored at its border.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""OME-Zarr in: axes, scale and units, and pixels that are read when they are computed."""
+"""OME-Zarr in: axes, pixel size and units, and pixels that are read when they are computed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class OmeZarrPicture:
         The pyramid, the largest first; read when computed.
     axes : str
         A letter an axis; y and x are the last two.
-    scale, units : dict
+    pixel_size, units : dict
         Of the largest level, for the axes that have them, such as 0.25 and "micrometer".
     attributes : dict
         What a store of `new_ome_zarr` says made it; empty for others.
@@ -46,7 +46,7 @@ class OmeZarrPicture:
 
     levels: tuple[da.Array, ...]
     axes: str
-    scale: dict[str, float]
+    pixel_size: dict[str, float]
     units: dict[str, str]
     attributes: dict[str, Any]
     channel_colors: tuple[str, ...]
@@ -88,11 +88,11 @@ def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     writer = new_ome_zarr(
     ...         pathlib.Path(folder, "map.ome.zarr"), shape=(4, 5), dtype="float32", axes="yx",
-    ...         scale={"y": 0.25, "x": 0.25}, units={"y": "micrometer", "x": "micrometer"},
+    ...         pixel_size={"y": 0.25, "x": 0.25}, units={"y": "micrometer", "x": "micrometer"},
     ...         attributes={"settings": {"window": 41}})
     ...     writer.write_region((slice(0, 4), slice(0, 5)), np.ones((4, 5)))
     ...     picture = read_ome_zarr(writer.finish())
-    ...     picture.axes, picture.scale["x"], picture.units["x"], picture.attributes
+    ...     picture.axes, picture.pixel_size["x"], picture.units["x"], picture.attributes
     ('yx', 0.25, 'micrometer', {'settings': {'window': 41}})
     """
     need_large_extra()
@@ -118,12 +118,12 @@ def _picture(path: Path) -> OmeZarrPicture:
     _check_arrays(arrays, letters)
     order = [i for i, letter in enumerate(letters) if letter not in "yx"]
     order += [letters.index("y"), letters.index("x")]
-    scale, units = _scale_and_units(multiscale, declared, letters)
+    pixel_size, units = _pixel_size_and_units(multiscale, declared, letters)
     channels = about.get("omero", attributes.get("omero", {})).get("channels", [])
     return OmeZarrPicture(
         levels=tuple(_lazy(array, letters, path).transpose(order) for array in arrays),
         axes="".join(letters[i] for i in order),
-        scale=scale,
+        pixel_size=pixel_size,
         units=units,
         attributes=dict(attributes.get(OUR_KEY, {})),
         channel_colors=tuple(str(channel.get("color", "")) for channel in channels),
@@ -241,7 +241,7 @@ def _lazy(array: Any, letters: str, path: Path) -> da.Array:
     return data.astype(data.dtype.newbyteorder("="))
 
 
-def _scale_and_units(
+def _pixel_size_and_units(
     multiscale: Mapping[str, Any], declared: list[dict[str, Any]], letters: str
 ) -> tuple[dict[str, float], dict[str, str]]:
     factors = np.ones(len(letters))
@@ -255,9 +255,9 @@ def _scale_and_units(
         if axis.get("unit")
     }
     # 1 without a unit is what stores say that do not know.
-    scale = {
+    pixel_size = {
         letter: float(factor)
         for letter, factor in zip(letters, factors, strict=True)
         if 0 < factor < np.inf and (letter in units or (factor != 1.0 and letter != "c"))
     }
-    return scale, units
+    return pixel_size, units

@@ -1,4 +1,4 @@
-"""How OME-Zarr 0.5 says what an array is: order and types of axes, scale, units, colours."""
+"""How OME-Zarr 0.5 says what an array is: order and types of axes, pixel size, units, colours."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def check_form(shape: tuple[int, ...], dtype: np.dtype[Any], axes: str, tile: in
 
 
 def check_named_axes(name: str, given: Mapping[str, Any] | None, axes: str) -> None:
-    """Raise ValueError if `scale` or `units` name an axis that is none of `axes`."""
+    """Raise ValueError if `pixel_size` or `units` name an axis that is none of `axes`."""
     unknown = sorted(set(given or {}) - set(axes))
     if unknown:
         raise ValueError(f"{name} has the axes {', '.join(unknown)}; axes is {axes!r}")
@@ -59,7 +59,7 @@ def check_named_axes(name: str, given: Mapping[str, Any] | None, axes: str) -> N
 
 def description(
     axes: str,
-    scale: Mapping[str, float],
+    pixel_size: Mapping[str, float],
     units: Mapping[str, str],
     *,
     name: str,
@@ -73,7 +73,7 @@ def description(
     ----------
     axes : str
         As given to `new_ome_zarr`.
-    scale, units : mapping
+    pixel_size, units : mapping
     name : str
         Of the picture.
     levels : int
@@ -85,7 +85,7 @@ def description(
     """
     about: dict[str, Any] = {
         "version": VERSION,
-        "multiscales": [_multiscale(axes, scale, units, name, levels)],
+        "multiscales": [_multiscale(axes, pixel_size, units, name, levels)],
     }
     if labels:
         about["image-label"] = {"version": VERSION}
@@ -95,7 +95,7 @@ def description(
 
 
 def _multiscale(
-    axes: str, scale: Mapping[str, float], units: Mapping[str, str], name: str, levels: int
+    axes: str, pixel_size: Mapping[str, float], units: Mapping[str, str], name: str, levels: int
 ) -> dict[str, Any]:
     from ome_zarr_models.v05.axes import Axis
     from ome_zarr_models.v05.multiscales import Dataset, Multiscale
@@ -106,7 +106,7 @@ def _multiscale(
         Axis(name=name, type=_AXIS_TYPES.get(name), unit=units.get(letter))
         for name, letter in zip(names, given, strict=True)
     ]
-    base = [float(scale.get(letter, 1.0)) for letter in given]
+    base = [float(pixel_size.get(letter, 1.0)) for letter in given]
     datasets = []
     for level in range(levels):
         zooms = [2.0**level if name in "yx" else 1.0 for name in names]

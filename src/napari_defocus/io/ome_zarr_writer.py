@@ -48,7 +48,7 @@ class OmeZarrWriter:
     dtype : str
     axes : str
         As given: colours, `s`, last.
-    scale, units : dict
+    pixel_size, units : dict
     tile : int
         Regions start at its multiples in y and x, and end there or at the border.
     labels, force : bool
@@ -60,7 +60,7 @@ class OmeZarrWriter:
     shape: tuple[int, ...]
     dtype: str
     axes: str
-    scale: dict[str, float]
+    pixel_size: dict[str, float]
     units: dict[str, str]
     tile: int
     labels: bool
@@ -150,7 +150,7 @@ def new_ome_zarr(
     shape: tuple[int, ...],
     dtype: DTypeLike,
     axes: str,
-    scale: Mapping[str, float] | None = None,
+    pixel_size: Mapping[str, float] | None = None,
     units: Mapping[str, str] | None = None,
     attributes: Mapping[str, Any],
     tile: int = TILE,
@@ -177,7 +177,7 @@ def new_ome_zarr(
         A letter an axis, y and x among them; up to 5. OME-Zarr wants time first and space last:
         axes are stored in that order, and colours, `s`, as channels. Regions are still given in
         the order of `axes`.
-    scale : mapping of str to float, optional
+    pixel_size : mapping of str to float, optional
         How far apart neighbours are along an axis; 1 for those that are not in it.
     units : mapping of str to str, optional
         In the spelling of UDUNITS, such as "micrometer" and "second".
@@ -220,7 +220,7 @@ def new_ome_zarr(
     about = _checked_attributes(attributes)
     kind = np.dtype(dtype)
     check_form(shape, kind, axes, tile)
-    check_named_axes("scale", scale, axes)
+    check_named_axes("pixel_size", pixel_size, axes)
     check_named_axes("units", units, axes)
     _put_back(target)
     _check_target(target, force)
@@ -232,7 +232,7 @@ def new_ome_zarr(
         sizes,
         kind.name,
         axes,
-        dict(scale or {}),
+        dict(pixel_size or {}),
         dict(units or {}),
         tile,
         labels,
@@ -370,7 +370,7 @@ def _say_what_it_is(writer: OmeZarrWriter, levels: int) -> None:
     colors = writer.shape[writer.axes.index("s")] if "s" in writer.axes else 0
     zarr.open_group(writer.part, mode="r+").attrs["ome"] = description(
         writer.axes,
-        writer.scale,
+        writer.pixel_size,
         writer.units,
         name=writer.path.name.removesuffix(".zarr").removesuffix(".ome"),
         levels=levels,

@@ -43,7 +43,7 @@ class Source:
         bool or real numbers. It can be sent to other processes, which open the file themselves.
     axes : str
         A letter an axis of `data`: planes, such as t, c, z, then y, x, then s for colours.
-    scale : dict of str to float
+    pixel_size : dict of str to float
         How far apart neighbours are, for axes of which it is known.
     units : dict of str to str
         In the spelling of UDUNITS, such as "micrometer", for axes of which it is known.
@@ -54,7 +54,7 @@ class Source:
     path: Path
     data: da.Array
     axes: str
-    scale: dict[str, float]
+    pixel_size: dict[str, float]
     units: dict[str, str]
     pictures: tuple[Path, ...] = ()
 
@@ -122,8 +122,8 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     - TIFF of one page, or of many (ImageJ, OME-TIFF, LSM, STK, slides), tiled or not: the
       largest level of the picture, without labels and previews beside it, of which tiles, strips
       or parts of an uncompressed page are read. Values, colours and orientation are as
-      `read_picture` gives them; scale and units as `scale_in_tiff`. Planes that an OME-TIFF tells
-      of, but that were not recorded or whose file is missing, are 0.
+      `read_picture` gives them; pixel size and units as `pixel_size_in_tiff`. Planes that an
+      OME-TIFF tells of, but that were not recorded or whose file is missing, are 0.
     - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels that
       the store says are pure red, green and blue become colours; all other channels are planes,
       even three of uint8, because a store does not say that they belong together.
@@ -155,7 +155,7 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     ...     stack = open_source(file)
     ...     [stack.label_of(index) for index in stack.planes()], stack.plane((2,)).shape
     (['z=0', 'z=1', 'z=2'], (4, 5))
-    >>> stack.scale["z"], stack.scale["x"], stack.units["x"]
+    >>> stack.pixel_size["z"], stack.pixel_size["x"], stack.units["x"]
     (1.5, 0.25, 'micrometer')
     """
     need_large_extra()
@@ -170,10 +170,10 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         return Source(path, lazy_array(reader, reader.shape), axes, {}, {})
     # Damaged TIFFs raise whatever their bytes led the decoder into.
     try:
-        data, axes, (scale, units) = open_tiff(path)
+        data, axes, (pixel_size, units) = open_tiff(path)
     except Exception as error:
         raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
-    return Source(path, data, axes, scale, units)
+    return Source(path, data, axes, pixel_size, units)
 
 
 def _is_tiff(path: Path) -> bool:
@@ -194,7 +194,7 @@ def _zarr_source(path: Path) -> Source:
 
             data, axes = da.moveaxis(data, channels, -1), axes.replace("c", "") + "s"
             data = data.rechunk({-1: 3})
-    return Source(path, data, axes, picture.scale, picture.units)
+    return Source(path, data, axes, picture.pixel_size, picture.units)
 
 
 # Pictures that are planes of one stack.
@@ -213,7 +213,7 @@ def open_stack(inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str]
     Returns
     -------
     Source
-        Its `path` is the folder, or the first picture. Scale and units are those of the
+        Its `path` is the folder, or the first picture. Pixel size and units are those of the
         pictures where all agree.
 
     Raises
@@ -266,7 +266,7 @@ def _as_plane(picture: Source) -> Source:
         )
     index = tuple(slice(None) if axis in kept else 0 for axis in sizes)
     axes = kept + picture.axes[len(sizes) :]
-    return Source(picture.path, picture.data[index], axes, picture.scale, picture.units)
+    return Source(picture.path, picture.data[index], axes, picture.pixel_size, picture.units)
 
 
 def _as_planes(place: Path, pictures: list[Source]) -> Source:
@@ -276,8 +276,8 @@ def _as_planes(place: Path, pictures: list[Source]) -> Source:
     first = pictures[0]
     same = {
         axis: step
-        for axis, step in first.scale.items()
-        if axis in "yx" and all(each.scale.get(axis) == step for each in pictures)
+        for axis, step in first.pixel_size.items()
+        if axis in "yx" and all(each.pixel_size.get(axis) == step for each in pictures)
     }
     units = {axis: unit for axis, unit in first.units.items() if axis in same}
     data = da.stack([each.data for each in pictures])

@@ -28,7 +28,16 @@ _OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, Ty
 
 
 class UnreadablePicture(ValueError):
-    """No picture could be read; the message is one line with the path and the reason."""
+    """No picture could be read; the message is one line with the path and the reason.
+
+    Examples
+    --------
+    >>> try:
+    ...     read_picture("nowhere.png")
+    ... except UnreadablePicture as error:
+    ...     print(error)
+    cannot read nowhere.png: there is no such file
+    """
 
 
 def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:

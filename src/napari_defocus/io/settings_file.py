@@ -8,12 +8,11 @@ from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
+from typing import Any, Self, get_args, get_type_hints
 
 import napari_defocus
 from napari_defocus.core.checks import check_stride
 from napari_defocus.core.writing import write_results
-from napari_defocus.psf.text import psf_of
 from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 VERSION_KEY = "napari_defocus"
@@ -192,35 +191,33 @@ def _checked_part(part: str, values: Any) -> dict[str, Any]:
 
 
 def _check_type(what: str, value: Any, taken: Any) -> None:
-    choices = get_args(taken) if get_origin(taken) is not Literal else (taken,)
-    if any(_fits(value, choice) for choice in choices or (taken,)):
+    if any(_fits(value, choice) for choice in _choices(taken)):
         return
-    names = " or ".join(_name_of(choice) for choice in choices or (taken,))
-    raise ValueError(f"{what} is {json.dumps(value, ensure_ascii=False):.60}; it takes {names}")
+    names = (_NAME_OF_TYPE.get(choice, f'"{choice}"') for choice in _choices(taken))
+    got = json.dumps(value, ensure_ascii=False)
+    raise ValueError(f"{what} is {got:.60}; it takes {' or '.join(names)}")
 
 
-def _fits(value: Any, taken: Any) -> bool:
-    if get_origin(taken) is Literal:
-        return isinstance(value, str) and value in get_args(taken)
-    if taken is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-    return type(value) is taken
+def _choices(taken: Any) -> tuple[Any, ...]:
+    """Return the types that an annotation takes, and the texts."""
+    return tuple(each for part in get_args(taken) for each in _choices(part)) or (taken,)
 
 
-def _name_of(taken: Any) -> str:
-    if get_origin(taken) is Literal:
-        return " or ".join(f'"{name}"' for name in get_args(taken))
-    return _NAME_OF_TYPE[taken]
+def _fits(value: Any, choice: Any) -> bool:
+    if isinstance(choice, str):
+        return bool(value == choice)
+    return type(value) is choice or (choice is float and type(value) is int)
 
 
 def _as_float(value: Any, taken: Any) -> Any:
     """Return a whole number as a float where fractions are taken, too."""
-    return float(value) if type(value) is int and _fits(0.5, taken) else value
+    return float(value) if type(value) is int and float in _choices(taken) else value
 
 
 def _check_estimation(settings: MapSettings) -> None:
     """Check what is otherwise found out when a picture is there."""
-    from napari_defocus.likelihood.blur_spectra import check_windows
+    from napari_defocus.likelihood.exact_spectra import check_windows
+    from napari_defocus.psf.text import psf_of
 
     # The file of a measured lens may be elsewhere now, or another lens be asked for.
     text = "disc" if settings.psf.lower().endswith(".npz") else settings.psf

@@ -22,7 +22,7 @@ from napari_defocus.io.pictures import (
     tiff_colors,
     upright,
 )
-from napari_defocus.io.tiff_scale import Scale, scale_in_tiff
+from napari_defocus.io.tiff_pixel_size import PixelSize, pixel_size_in_tiff
 from napari_defocus.io.tiff_series import picture_number
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ class TiffMemory:
         return np.array(mapped[region], self.dtype)
 
 
-def open_tiff(path: Path) -> tuple[da.Array, str, Scale]:
+def open_tiff(path: Path) -> tuple[da.Array, str, PixelSize]:
     """Open the largest level of the picture, or stack, in a TIFF.
 
     Parameters
@@ -196,8 +196,8 @@ def open_tiff(path: Path) -> tuple[da.Array, str, Scale]:
         (..., H, W) or (..., H, W, 3 or 4); read when computed.
     axes : str
         A letter an axis; s of colours.
-    scale : (dict, dict)
-        As `scale_in_tiff`.
+    pixel_size : (dict, dict)
+        As `pixel_size_in_tiff`.
 
     Raises
     ------
@@ -218,8 +218,8 @@ def open_tiff(path: Path) -> tuple[da.Array, str, Scale]:
         else:
             data, axes = _paged(tiff, series)
         orientation = int(series.keyframe.tags.valueof("Orientation", default=1))
-        scale, units = scale_in_tiff(tiff, number)
-    kept = {axis: step for axis, step in scale.items() if axis in axes}
+        pixel_size, units = pixel_size_in_tiff(tiff, number)
+    kept = {axis: step for axis, step in pixel_size.items() if axis in axes}
     return _turned(data, axes, orientation), axes, (kept, {axis: units[axis] for axis in kept})
 
 

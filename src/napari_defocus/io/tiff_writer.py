@@ -46,7 +46,7 @@ def write_pyramidal_tiff(
     data: Any,
     *,
     axes: str,
-    scale: Mapping[str, float] | None = None,
+    pixel_size: Mapping[str, float] | None = None,
     units: Mapping[str, str] | None = None,
     description: Mapping[str, Any],
     labels: bool = False,
@@ -69,7 +69,7 @@ def write_pyramidal_tiff(
         bool is written as 0 and 1 of uint8.
     axes : str
         A letter an axis: planes, then y, x, then s for colours.
-    scale, units : mapping, optional
+    pixel_size, units : mapping, optional
         Of the axes that have them, as in `napari_defocus.io.open.Source`.
     description : mapping
         What the values are and what made them, for instance `quantity`, `unit` and `settings`;
@@ -106,7 +106,9 @@ def write_pyramidal_tiff(
     check_results([Path(path)], force=force)
     target = Path(path).resolve()
     part = unused_name(target.parent)
-    options = _page_options(data, axes) | _noted(axes, np.dtype(data.dtype), scale, units, about)
+    options = _page_options(data, axes) | _noted(
+        axes, np.dtype(data.dtype), pixel_size, units, about
+    )
     levels = _Levels(data, axes, labels=labels)
     try:
         levels.wait_in(target.parent)
@@ -250,12 +252,12 @@ def _page_options(data: Any, axes: str) -> dict[str, Any]:
 def _noted(
     axes: str,
     dtype: np.dtype[Any],
-    scale: Mapping[str, float] | None,
+    pixel_size: Mapping[str, float] | None,
     units: Mapping[str, str] | None,
     about: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return what the first page notes: OME-XML if there are planes that it knows, else JSON."""
-    steps = {axis: step for axis, step in (scale or {}).items() if axis in (units or {})}
+    steps = {axis: step for axis, step in (pixel_size or {}).items() if axis in (units or {})}
     noted = {"software": f"{SOFTWARE} {napari_defocus.__version__}"}
     noted |= _resolution(steps, units or {})
     planes = set(axes) - set("yxs")
@@ -271,8 +273,10 @@ def _noted(
     return {**noted, "metadata": metadata}
 
 
-def _resolution(scale: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
-    sizes = [scale.get(axis, 0.0) * _CENTIMETERS.get(units.get(axis, ""), 0.0) for axis in "xy"]
+def _resolution(pixel_size: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
+    sizes = [
+        pixel_size.get(axis, 0.0) * _CENTIMETERS.get(units.get(axis, ""), 0.0) for axis in "xy"
+    ]
     if min(sizes) <= 0:
         return {}
     return {"resolution": (1 / sizes[0], 1 / sizes[1]), "resolutionunit": "CENTIMETER"}

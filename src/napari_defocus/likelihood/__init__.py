@@ -1,3 +1,1 @@
-"""What one window says about its blur: local spectra, noise, likelihood and its maxima, (3)
-to (13).
-"""
+"""What one window says about its blur: local spectra, noise, likelihood and maxima, (3)-(13)."""

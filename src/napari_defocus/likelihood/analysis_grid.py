@@ -15,8 +15,10 @@ from napari_defocus.likelihood.gabor import padding, window_centers, within_pict
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
-_WINDOWS_A_BLOCK = 32768
-_LEAST_ROWS = 12
+_WINDOWS_A_BLOCK, _LEAST_ROWS = 32768, 12
+"""Windows, about, and rows of them, at least, that are worked on at once: they share their lines
+of filtered pixels, and progress is reported between. Chosen by hand; results do not depend on it.
+"""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The paper's own search (Section III-A), and the likelihood (9) without any table.
 
-Slow and in double precision: what the fast path is measured against. As in `likelihood`,
+Slow and in double precision: what the fast path is measured against. As in `profile_likelihood`,
 q_i = |g_i|^2 / sigma_ni^2, a_i(r) = sigma_i^2(r) / sigma_ni^2, and
 
     -log p(r, s) = sum_i  q_i / (1 + s a_i(r)) + log(1 + s a_i(r)) + log sigma_ni^2.
@@ -8,35 +8,41 @@ q_i = |g_i|^2 / sigma_ni^2, a_i(r) = sigma_i^2(r) / sigma_ni^2, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft2, next_fast_len
+from scipy.interpolate import CubicHermiteSpline
 
-from napari_defocus.likelihood.blur_spectra import SpectrumTable
+from napari_defocus.likelihood.blur_spectra import SpectrumTable, is_pointlike
 from napari_defocus.likelihood.gabor import frequencies
+from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.profile_likelihood import SILENCE, noise_power
 from napari_defocus.psf.families import PSFFamily
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
-_KEPT = 3
 _ALIKE = 0.01
-_INDISTINCT = 1e-6
+"""px: maxima that lie closer are one. Chosen by hand."""
 
 _STRENGTH_ROUNDS = 50
-_LONGEST_STEP = 0.1
-_LONGER, _SHORTER = 1.5, 0.5
-_SETTLED = 1e-6
-_SETTLED_SHARE = 1e-7
-_LARGE = 1e3
-_SMALLEST = 1e-6
+"""Of (11), at most. Chosen by hand."""
 
-_SHARES = np.append(np.geomspace(1, 1e-12, 60), 0)
-_BISECTIONS = 40
+_LONGEST_STEP, _LONGER, _SHORTER = 0.1, 1.5, 0.5
+"""px of a step down (13) at most, and the factors of the next one. Chosen by hand."""
+
+_SETTLED, _SETTLED_SHARE = 1e-6, 1e-7
+"""A step in px, and a share of s, that are none any more. Chosen by hand: this is the reference."""
+
+_LARGE, _SMALLEST = 1e3, 1e-6
+"""s to begin with; and the least s, relative to that which makes signal and noise alike at the
+first frequency. Chosen by hand.
+"""
+
+_SHARES, _BISECTIONS = np.append(np.geomspace(1, 1e-12, 60), 0), 40
+"""Shares of the largest possible s that are tried, and halvings around the best. By hand."""
 
 
 def fixed_point_maxima(
@@ -75,45 +81,21 @@ def fixed_point_maxima(
     if starts is None:
         starts = np.arange(1.0, table.scales[-1] + 1e-6)
     noise = noise_power(table, noise_variance)
-    gain = _Gain(table.value / noise, table.first / noise, table.scales)
+    gain = CubicHermiteSpline(table.scales, table.value / noise, table.first / noise)
     ends = [_climb(power / noise, gain, 1 / dispersion, float(start)) for start in starts]
     radii, heights = (np.stack(values, axis=1) for values in zip(*ends, strict=True))
     heights -= (np.log(noise).sum(axis=1) / dispersion).sum(axis=1)[:, None]
-    pointlike = np.abs(table.value / table.value[0] - 1).max(axis=(1, 2)) < _INDISTINCT
-    last = table.scales[pointlike][-1]
+    last = table.scales[is_pointlike(table.value)][-1]
     radii[radii < last + _ALIKE] = last / 2
     return _best_distinct(radii, heights)
 
 
-@dataclass(frozen=True)
-class _Gain:
-    """a_i(r), by cubic Hermite interpolation of the tables.
-
-    Attributes
-    ----------
-    value, slope : (M, 2, F) float64 ndarray
-    scales : (M,) float64 ndarray
-    """
-
-    value: Float64
-    slope: Float64
-    scales: Float64
-
-    def at(self, radius: Float64) -> tuple[Float64, Float64]:
-        """Return a_i and its derivative at one scale a window: both (P, 2, F)."""
-        step = self.scales[1] - self.scales[0]
-        left = np.minimum((radius / step).astype(int), len(self.scales) - 2)
-        t = (radius / step - left)[:, None, None]
-        rise = self.value[left + 1] - self.value[left]
-        leave, arrive = step * self.slope[left], step * self.slope[left + 1]
-        bend = leave + arrive - 2 * rise
-        turn = rise - leave - bend
-        value = self.value[left] + t * (leave + t * (turn + t * bend))
-        return value, (leave + t * (2 * turn + 3 * t * bend)) / step
-
-
-def _climb(q: Float64, gain: _Gain, weight: Float64, start: float) -> tuple[Float64, Float64]:
+def _climb(
+    q: Float64, gain: CubicHermiteSpline, weight: Float64, start: float
+) -> tuple[Float64, Float64]:
     """Steps 1 to 5 of Section III-A: r of each window and the logarithm of (5) there, (P,).
+
+    `gain` is a_i(r), (2, F).
 
     One step down (13) between two solutions of (11). It is half as long as the one before it
     where (13) rose or turned, and longer otherwise.
@@ -124,7 +106,7 @@ def _climb(q: Float64, gain: _Gain, weight: Float64, start: float) -> tuple[Floa
     strength = np.full(q.shape[:2], _LARGE)
     moving = np.arange(windows)
     while moving.size:
-        a, a_slope = gain.at(trial[moving])
+        a, a_slope = gain(trial[moving]), gain(trial[moving], 1)
         s = _best_strength(q[moving], a, strength[moving])
         deviance, deviance_slope = _deviance(q[moving], a, a_slope, s, weight[moving])
         falls = -deviance > height[moving]
@@ -134,7 +116,7 @@ def _climb(q: Float64, gain: _Gain, weight: Float64, start: float) -> tuple[Floa
         better = moving[falls]
         radius[better], strength[better] = trial[better], s[falls]
         height[better], slope[better] = -deviance[falls], deviance_slope[falls]
-        trial = np.clip(radius - np.sign(slope) * step, 0, gain.scales[-1])
+        trial = np.clip(radius - np.sign(slope) * step, 0, gain.x[-1])
         moving = moving[step[moving] > _SETTLED]
     return radius, height
 
@@ -170,8 +152,8 @@ def _best_distinct(radii: Float64, heights: Float64) -> tuple[Float32, Float32]:
     alike = np.abs(radii[:, :, None] - radii[:, None, :]) < _ALIKE
     known = (alike & np.tri(radii.shape[1], k=-1, dtype=bool)).any(axis=2)
     radii[known], heights[known] = np.nan, -np.inf
-    radii, heights = (values[:, :_KEPT] for values in _best_first(radii, heights))
-    missing = (0, 0), (0, _KEPT - radii.shape[1])
+    radii, heights = (values[:, :CANDIDATES] for values in _best_first(radii, heights))
+    missing = (0, 0), (0, CANDIDATES - radii.shape[1])
     return (
         np.pad(radii, missing, constant_values=np.nan).astype(np.float32),
         np.pad(heights, missing, constant_values=-np.inf).astype(np.float32),

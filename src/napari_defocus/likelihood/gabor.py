@@ -23,7 +23,7 @@ from napari_defocus.core.threads import in_bands
 Float32 = NDArray[np.float32]
 
 MIN_WINDOW = 17
-"""The smallest window with frequencies in every direction."""
+"""px: the smallest window N with frequencies in every direction: (N - 1) / 8 has to be 2."""
 
 _TILE = 256
 """Samples that are filtered at once: their sums stay in the processor's nearest cache."""

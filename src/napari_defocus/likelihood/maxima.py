@@ -9,7 +9,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from napari_defocus.core.threads import in_bands
-from napari_defocus.likelihood.blur_spectra import LABEL_STEP, SpectrumTable
+from napari_defocus.likelihood.blur_spectra import (
+    INDISTINCT,
+    LABEL_STEP,
+    SpectrumTable,
+    is_pointlike,
+)
 from napari_defocus.likelihood.profile_likelihood import (
     FIRST_ROUNDS,
     LARGEST_LOG,
@@ -21,18 +26,25 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
 CANDIDATES = 3
-"""How many of a window are kept."""
+"""How many maxima of a window are kept: up to 3 (Section III)."""
 
-_INDISTINCT = 1e-6
 _FLAT = 1e-3
+"""Units of log-likelihood: curves that rise less say nothing. Chosen by hand."""
 
 _LEAST_WINDOWS = 256
-"""The fewest windows that are worth a thread."""
+"""The fewest windows that are worth a thread. Results do not depend on it."""
 
 _PADDED = 16
+"""Frequencies that are worked on at once: lanes of the processor's vectors."""
+
 _NEWTON_ROUNDS = 8
+"""At most, of one maximum. Chosen by hand."""
+
 _LIMIT = np.float32(1)
+"""Of a step in log s. Chosen by hand."""
+
 _CLOSE_ENOUGH = 5e-4
+"""px: a step that is none any more. Maxima are exact to 0.005 px (tests against `fixed_point`)."""
 
 
 def local_maxima(
@@ -60,13 +72,12 @@ def local_maxima(
     radii, log_likelihoods : (P, 3) float32 ndarray
         Best first; NaN and -inf where there are fewer.
     """
-    blurs = table.at(scales)
-    pointlike = int(np.sum(np.abs(blurs / blurs[0] - 1).max(axis=(1, 2)) < _INDISTINCT)) - 1
+    pointlike = int(np.sum(is_pointlike(table.at(scales)))) - 1
     start = _pick_maxima(curve, scales.astype(np.float32), pointlike)
     radii, heights = refine_maxima(power, table, start, LABEL_STEP, noise_variance, dispersion)
     flat = np.ptp(curve, axis=1) < _FLAT
     radii[flat], heights[flat] = np.nan, -np.inf
-    radii[radii <= scales[pointlike] + _INDISTINCT] = scales[pointlike] / 2
+    radii[radii <= scales[pointlike] + INDISTINCT] = scales[pointlike] / 2
     order = np.argsort(-heights, axis=1)
     return np.take_along_axis(radii, order, 1), np.take_along_axis(heights, order, 1)
 

@@ -1,9 +1,12 @@
-"""The likelihood of a blur scale given local power spectra: (5), (9), (11).
+"""The profile likelihood of a blur scale given local power spectra: (5), (9), (11).
 
 Powers are taken relative to the noise spectrum: q_i = |g_i|^2 / sigma_ni^2 and
 a_i(r) = sigma_i^2(r) / sigma_ni^2, so that the variance in (5) is sigma_ni^2 (1 + s a_i) and
 
     -log p = sum_i  q_i / (1 + s a_i) + log(1 + s a_i) + log sigma_ni^2.
+
+Of the variance s of the sharp picture's gradients nothing is known, and there is no prior on it:
+the best one is taken for each scale.
 
 Both gradients are used: their log-likelihoods, each with its own s, are added.
 
@@ -30,7 +33,9 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
 SILENCE = 1e-12
-"""Smallest noise variance in use: a picture without any noise still has finite likelihoods."""
+"""Smallest noise variance in use, for a contrast of 1: a picture without any noise still has finite
+likelihoods. Chosen by hand.
+"""
 
 _LANES = 16
 """Windows that are worked on at once."""
@@ -40,15 +45,30 @@ _S, _LOG_S, _BEFORE, _DEVIANCE, _AT_ZERO, _Q_V, _Q_VV, _Q_VVV, _MOVING = range(9
 for s = 0; sums of `_moments`; 1 while s still moves."""
 
 _LEAST_LOG, LARGEST_LOG, _LOG_STEP = np.float32(-20), np.float32(60), np.float32(0.5)
+"""log s of the tables: first, last, and from one to the next. Chosen by hand."""
+
 _LEAST_SIGNAL = np.float32(0.1)
-_ABOVE_LEAST = np.float32(3)
+"""s a_i at the strongest frequency, below which s counts as 0. Chosen by hand."""
+
+_ABOVE_LEAST, _RETRY = np.float32(3), 4
+"""Where s = 0 was best, log s begins again so far above its least, at every so many scales: there
+may be two minima. Chosen by hand.
+"""
+
 _MOST_ROUNDS = 6
-_RETRY = 4
+"""Steps in log s at a scale, at most; one or two are usual (docs/decisions.md)."""
+
 _NEARLY_BEST = np.float32(6)
+"""Units of log-likelihood below the best scale that still count for the dispersion. By hand."""
+
 _SETTLED = np.float32(0.02)
+"""Units of log-likelihood: a step that gains less is the last. Chosen by hand."""
 
 SMALLEST = np.float32(1e-6)
+"""Least s, relative to that which makes signal and noise alike at the first frequency. By hand."""
+
 FIRST_ROUNDS = 16
+"""Of (11) or of Newton's steps at the first scale, at most. Chosen by hand."""
 
 
 def noise_power(table: SpectrumTable, noise_variance: float) -> Float64:
@@ -185,7 +205,7 @@ def _follow(
                 q[i, lane] = relative[window, i]
                 total += relative[window, i]
             state[_AT_ZERO, lane] = total
-            state[_LOG_S, lane] = first_log_strength(relative[window], gain[0])
+            state[_LOG_S, lane] = _first_log_strength(relative[window], gain[0])
             state[_BEFORE, lane] = state[_LOG_S, lane]
         for scale in range(gain.shape[0]):
             largest = gain[scale, 0]
@@ -353,9 +373,8 @@ def _scoring_step(log_sums: Float32, scale: int, least: np.float32, state: Float
         state[_MOVING, lane] = one if moves and gained >= _SETTLED else zero
 
 
-# After a change here, touch maxima.py: numba's cache looks at the caller's own file only.
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def first_log_strength(q: Float32, a: Float32) -> np.float32:
+def _first_log_strength(q: Float32, a: Float32) -> np.float32:
     """Return log s of the best s of one scale by (11), from the least-squares one."""
     one = np.float32(1)
     total, squares = np.float32(0), np.float32(0)

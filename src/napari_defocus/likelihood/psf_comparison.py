@@ -12,7 +12,8 @@ from napari_defocus.core.checks import Linearize, check_noise_variance
 from napari_defocus.core.image import prepare_image
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.blur_spectra import check_windows, label_scales, spectrum_table
+from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
+from napari_defocus.likelihood.exact_spectra import check_windows
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers, within_picture
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
@@ -21,7 +22,10 @@ from napari_defocus.psf.text import psf_text
 from napari_defocus.settings import MapSettings
 
 _WINDOWS_APART = 4
+"""Windows are a quarter of their side apart. Chosen by hand."""
+
 _LARGEST_LOSS = 10.0
+"""Units of log-likelihood that a family loses in a window at most. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -95,12 +99,18 @@ def compare_psf(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> PSFComparison:
-    """Compare how well PSF families explain a picture.
+    r"""Compare how well PSF families explain a picture.
 
-    The evidence of a family in a window is the mean of p(r) of (9) over all its scales. What a
-    family loses to the best one counts up to a limit, so that the few windows that no family
-    explains do not decide. Differences of families are visible from about 2 px of blur on, in
-    texture with little noise.
+    The evidence of a family in a window is the mean of p(r) of (9) over its R scales, which is a
+    flat prior on them. What a family loses to the best one is the mean over windows of
+
+    .. math:: \min\left(\max_j \log e_j - \log e, \, 10\right), \qquad
+        e = \frac{1}{R} \sum_r p(r), \qquad
+        p(r) = \max_s \prod_i \frac{1}{v_i} \exp\left(-\frac{|g_i^{\nabla}|^2}{v_i}\right), \qquad
+        v_i = s \, \sigma_i^2(r) + \sigma_{ni}^2
+
+    It counts up to a limit, so that the few windows that no family explains do not decide.
+    Differences of families are visible from about 2 px of blur on, in texture with little noise.
 
     Parameters
     ----------

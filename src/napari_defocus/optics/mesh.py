@@ -1,4 +1,4 @@
-"""A map of distances, or of blur, as a surface of triangles, for 3-D viewers."""
+"""A map of distances, or of blur, as a mesh: a surface of triangles, for 3-D viewers."""
 
 from __future__ import annotations
 
@@ -11,15 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.core.image import given_array, prepare_image, shown_colors
+from napari_defocus.core.checks import check_number
+from napari_defocus.core.image import given_reals, prepare_image, shown_colors
 from napari_defocus.optics.thin_lens import checked_depth
-from napari_defocus.psf.families import check_number
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _MOST_VERTICES = 250_000
+"""At most, unless a step is given. Chosen by hand."""
+
 _RANGE = (1, 99)
+"""Percentiles of the distances that are near and far. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +55,18 @@ def depth_surface(
     relief: float = 0.5,
     intensity_range: tuple[float, float] | None = None,
 ) -> DepthSurface:
-    """Make a surface of a map of distances, to be looked at in three dimensions.
+    r"""Make a surface of a map of distances, to be looked at in three dimensions.
 
-    It is a relief on top of the picture: z = relief max(H, W) (far - d) / (far - near), in px,
-    where near and far are the 1st and the 99th percentile of the distances d. So z is 0 at far
-    and the larger the nearer, which is towards you in napari's 3-D view as it first opens.
-    It is no scale model. What lies farther outside of near and far than they are apart is drawn
-    no farther out than that. The surface has a hole where a distance is infinite or NaN, and is
-    torn where distances jump.
+    It is a relief on top of the picture, in px,
+
+    .. math:: z = \text{relief} \cdot \max(H, W) \,
+        \frac{d_{\text{far}} - d}{d_{\text{far}} - d_{\text{near}}}
+
+    where near and far are the 1st and the 99th percentile of the distances d. So z is 0 at far and
+    the larger the nearer, which is towards you in napari's 3-D view as it first opens. It is no
+    scale model. What lies farther outside of near and far than they are apart is drawn no farther
+    out than that. The surface has a hole where a distance is infinite or NaN, and is torn where
+    distances jump.
 
     Parameters
     ----------
@@ -205,14 +212,12 @@ def picture_colors(
 
 
 def _checked_scale(blur_map: ArrayLike) -> Float64:
-    scale = given_array("blur_map", blur_map)
-    if scale.dtype.kind not in "uif":
-        raise TypeError(f"blur_map has dtype {scale.dtype}; it takes real numbers")
+    scale = given_reals("blur_map", blur_map)
     if scale.ndim != 2 or min(scale.shape) < 2:
         raise ValueError(f"blur_map has shape {scale.shape}; it takes (H, W), 2 px or more a side")
     if np.isinf(scale).any() or (scale < 0).any():
         raise ValueError("blur_map has values that are infinite or below 0; it takes px, or NaN")
-    return scale.astype(np.float64)
+    return scale
 
 
 def _surface(

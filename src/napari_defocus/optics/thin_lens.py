@@ -10,26 +10,30 @@ from typing import Self, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.core.checks import Side
-from napari_defocus.core.image import given_array
+from napari_defocus.core.checks import Side, check_number
+from napari_defocus.core.image import given_array, given_reals
 from napari_defocus.optics.exif import noted_lens
-from napari_defocus.psf.families import Disc, PSFFamily, as_family, check_number, radius_per_scale
+from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _ROUNDING = float(np.finfo(np.float32).eps)
+"""Relative: what a blur in single precision leaves of a distance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThinLens:
-    """An ideal lens, and how fine its picture is sampled.
+    r"""An ideal lens, and how fine its picture is sampled.
 
-    A point at the distance d has the blur radius ``r = K |d - s| / d``, in px, if the plane at the
-    distance s is in focus. With the focal length f, the f-number N and the pixel pitch p,
-    K = f^2 / (2 N p (s - f)), all lengths in one unit; with the focus at infinity,
-    r = f^2 / (2 N p d). A real lens has its distances from planes inside of it, a little apart
-    from each other, and its f changes when it focuses: close to the lens, both matter.
+    A point at the distance d has the blur radius r, in px, if the plane at the distance s is in
+    focus. With the focal length f, the f-number N and the pixel pitch p, all lengths in one unit,
+
+    .. math:: r = K \frac{|d - s|}{d}, \qquad K = \frac{f^2}{2 N p \, (s - f)}
+
+    With the focus at infinity, :math:`r = f^2 / (2 N p d)`. A real lens has its distances from
+    planes inside of it, a little apart from each other, and its f changes when it focuses: close
+    to the lens, both matter.
 
     Parameters
     ----------
@@ -182,14 +186,17 @@ def depth_from_blur(
     side: Side | ArrayLike = "far",
     psf: PSFFamily = Disc(),
 ) -> Float32:
-    """Turn blur into distance, for a thin lens.
+    r"""Turn blur into distance, for a thin lens.
 
-    With the radius r of the blur and s, K of `ThinLens`, a point beyond the focus lies at
-    d = s / (1 - r / K), one before it at d = s / (1 + r / K); with the focus at infinity at
-    d = f^2 / (2 N p r). A radius alone cannot say on which side of the focus a point lies: the
-    same blur belongs to one distance on either side. You choose, for the whole picture or for
-    each pixel. Radii below 0.5 px cannot be told from 0, so that near the focus distances are
-    rough.
+    With the radius r of the blur and s, K of `ThinLens`, a point lies at
+
+    .. math:: d = \frac{s}{1 - r / K} \text{ beyond the focus}, \qquad
+        d = \frac{s}{1 + r / K} \text{ before it}
+
+    and with the focus at infinity at :math:`d = f^2 / (2 N p r)`. A radius alone cannot say on
+    which side of the focus a point lies: the same blur belongs to one distance on either side. You
+    choose, for the whole picture or for each pixel. Radii below 0.5 px cannot be told from 0, so
+    that near the focus distances are rough.
 
     Parameters
     ----------
@@ -226,7 +233,7 @@ def depth_from_blur(
     array([2.   , 1.883, 1.778, 0.89 ], dtype=float32)
     """
     _check_lens(lens)
-    scale = _real("blur_map", blur_map)
+    scale = given_reals("blur_map", blur_map)
     if (scale < 0).any() or np.isinf(scale).any():
         raise ValueError(
             f"blur_map has values from {np.nanmin(scale):g} to {np.nanmax(scale):g}; "
@@ -247,7 +254,9 @@ def depth_from_blur(
 
 
 def blur_from_depth(depth: ArrayLike, lens: ThinLens, *, psf: PSFFamily = Disc()) -> Float32:
-    """Turn distance into blur, for a thin lens: ``r = K |d - s| / d``, see `ThinLens`.
+    r"""Turn distance into blur, for a thin lens, see `ThinLens`.
+
+    .. math:: r = K \frac{|d - s|}{d}
 
     Parameters
     ----------
@@ -309,17 +318,10 @@ def checked_side(side: Side | ArrayLike, shape: tuple[int, ...]) -> NDArray[np.b
 
 def checked_depth(depth: ArrayLike) -> Float64:
     """Check distances, above 0, and return them as float64."""
-    distance = _real("depth", depth)
+    distance = given_reals("depth", depth)
     if (distance <= 0).any():
         raise ValueError(f"depth has values down to {np.nanmin(distance):g}; it takes ones above 0")
     return distance
-
-
-def _real(name: str, values: ArrayLike) -> Float64:
-    array = given_array(name, values)
-    if array.dtype.kind not in "uif":
-        raise TypeError(f"{name} has dtype {array.dtype}; it takes real numbers")
-    return array.astype(np.float64)
 
 
 def _as_float32(values: ArrayLike) -> Float32:

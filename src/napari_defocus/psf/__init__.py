@@ -1,1 +1,5 @@
 """Point spread functions: families indexed by one scale, measured ones, and their calibration."""
+
+MAX_RADIUS = 8.0
+"""Largest radius, in px, that is looked for unless another one is said: by default half of what
+windows of 41 px can tell with ease. Here, where it costs no import of SciPy."""

@@ -7,44 +7,33 @@ so that the PSF is what turns the one into the other. Few settings of the lens a
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence, Sized
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import brentq, nnls
-from scipy.signal import correlate
+from scipy.optimize import brentq
 
 import napari_defocus
 from napari_defocus.core.image import given_image, prepare_image
 from napari_defocus.core.intensity import IntensityRange, Limits, needs_limits, range_of_values
 from napari_defocus.core.known_pixels import limits_of
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.psf.families import Disc, real_array
+from napari_defocus.psf.checks import real_array
+from napari_defocus.psf.families import Disc
 from napari_defocus.psf.measured import MeasuredPSF
+from napari_defocus.psf.sharp_pairs import kernel_of_pair
+from napari_defocus.psf.spots import kernel_of_points
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _SAME_SETTING = 0.05
+"""px: pictures whose scales are closer are of one setting of the focus. Chosen by hand."""
 
-_SATURATED = 1 - 1e-6
 _HEADROOM = 1.01
-_DETECTED_NOISE, _DETECTED_SHARE = 6.0, 0.05
-_FAINT = 0.1
-_MARGIN = 3
-_KEPT_SMOOTH, _KEPT, _KEPT_SHARE = 3.0, 2.0, 1e-3
-_OFF_CENTER = 0.02
-
-_MIDDLE = 512
-_REACHES = (4, 8, 12, 17, 23)
-_DARK = 0.05
-_EXPLAINED = 0.5
-_RIDGE = 1e-5
+"""Of the range of floats that say no limit: nothing in them is saturated. Chosen by hand."""
 
 
 def calibrate_psf(
@@ -57,7 +46,15 @@ def calibrate_psf(
     names: Sequence[str] | None = None,
     progress: Progress = silent,
 ) -> MeasuredPSF:
-    """Measure the PSF family of a lens from pictures at a few settings of its focus.
+    r"""Measure the PSF family of a lens from pictures at a few settings of its focus.
+
+    Of point sources, the kernel is what is seen, moved to its centroid, :math:`h = g / \sum g`.
+    Of a sharp picture f and a blurred one g, it is
+
+    .. math:: \hat{h} = \underset{h \ge 0}{\text{arg min}} \sum_{\mathbf{x}}
+        \left|(h \otimes f)[\mathbf{x}] - g[\mathbf{x}]\right|^2
+
+    normalised to sum 1. It is the calibration that Section III-A asks for.
 
     Parameters
     ----------
@@ -135,9 +132,9 @@ def calibrate_psf(
         progress("Measuring the PSF", index / len(blurred))
         name = f"pictures[{index}]"
         kernels.append(
-            _kernel_of_points(picture, name)
+            kernel_of_points(picture, name)
             if references is None
-            else _kernel_of_pair(picture, references[index], name)
+            else kernel_of_pair(picture, references[index], name)
         )
     found = given_scales
     if found is None:
@@ -282,178 +279,3 @@ def _settings(scales: Float64, kernels: list[Float64]) -> tuple[Float64, Float64
     inner = slice(side // 2 - used, side // 2 + used + 1)
     means = np.array([frames[group].mean(axis=0) for group in groups])
     return np.array([scales[group].mean() for group in groups]), means[:, inner, inner]
-
-
-def _kernel_of_points(picture: Float32, name: str) -> Float64:
-    """Average the spots of all usable point sources: (K, K), sum 1."""
-    level = float(np.median(picture))
-    light = picture - level
-    seen = ndimage.gaussian_filter(light, 1.0)
-    threshold = max(_DETECTED_NOISE * _noise(seen), _DETECTED_SHARE * seen.max())
-    spots, _ = ndimage.label(seen > threshold, np.ones((3, 3)))
-    verdicts = Counter[str]()
-    usable = []
-    for number, box in enumerate(ndimage.find_objects(spots), 1):
-        spot = light[box] * (spots[box] == number)
-        corner = np.array([side.start for side in box])
-        center = np.rint(corner + ndimage.center_of_mass(spot)).astype(int)
-        reach = max(spot.shape) + _MARGIN
-        verdict = _verdict(spots, number, center, reach)
-        if verdict == "usable" and level + spot.max() >= _SATURATED:
-            verdict = "saturated"
-        verdicts[verdict] += 1
-        if verdict == "usable":
-            usable.append((spot.sum(), center, reach))
-    if not usable:
-        found = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
-        raise ValueError(f"{name} shows no usable point source ({found or 'nothing stands out'})")
-    least = _FAINT * max(flux for flux, _, _ in usable)
-    widest = max(reach for _, _, reach in usable)
-    cut_out = [_window(light, center, widest) for flux, center, _ in usable if flux >= least]
-    return _cleaned(np.sum([_centered(spot) for spot in cut_out if spot is not None], axis=0))
-
-
-def _verdict(spots: NDArray[np.int32], number: int, center: NDArray[np.int64], reach: int) -> str:
-    surroundings = _window(spots, center, reach)
-    if surroundings is None:
-        return "at the border"
-    return "usable" if np.isin(surroundings, (0, number)).all() else "too close to another"
-
-
-def _window(values: NDArray[Any], center: NDArray[np.int64], reach: int) -> NDArray[Any] | None:
-    """Return what lies up to `reach` px around a pixel, if all of that is in the picture."""
-    if (center < reach).any() or (center + reach >= values.shape).any():
-        return None
-    row, column = center
-    return values[row - reach : row + reach + 1, column - reach : column + reach + 1]
-
-
-def _noise(values: NDArray[np.floating]) -> float:
-    """Return the standard deviation of most values, whatever the few others are."""
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
-
-
-def _border(kernel: Float64) -> Float64:
-    """Return the pixels of a frame 2 px wide."""
-    inside = np.zeros(kernel.shape, bool)
-    inside[2:-2, 2:-2] = True
-    return kernel[~inside]
-
-
-def _centered(spot: Float64) -> Float64:
-    """Take the background off and move the centroid of what is visible to the middle."""
-    spot = spot - np.median(_border(spot))
-    centroid = np.array(ndimage.center_of_mass(spot * _visible(spot)))
-    off_center = centroid - len(spot) // 2
-    if np.abs(off_center).max() < _OFF_CENTER:
-        return spot
-    return ndimage.shift(spot, -off_center, mode="nearest")
-
-
-def _visible(kernel: Float64) -> NDArray[np.bool_]:
-    """Return where a kernel stands out from the noise that its border shows."""
-    smooth = ndimage.gaussian_filter(kernel, 0.7)
-    least = max(_KEPT_SMOOTH * _border(smooth).std(), _KEPT_SHARE * smooth.max())
-    parts, _ = ndimage.label(smooth > min(least, smooth.max() / 2), np.ones((3, 3)))
-    brightest = parts == parts.flat[np.argmax(smooth)]
-    return brightest & (kernel > min(_KEPT * _border(kernel).std(), kernel.max() / 2))
-
-
-def _cleaned(kernel: Float64) -> Float64:
-    """Leave out what is negative or lost in the noise, and normalise to sum 1."""
-    kernel = np.maximum(kernel, 0) * _visible(kernel)
-    return kernel / kernel.sum()
-
-
-def _kernel_of_pair(blurred: Float32, sharp: Float32, name: str) -> Float64:
-    """Find the kernel that turns the sharp picture into the blurred one: (K, K), sum 1."""
-    blurred, sharp = _aligned(_middle(blurred), _middle(sharp))
-    widest = min(sharp.shape) // 4
-    for reach in (reach for reach in _REACHES if reach <= widest):
-        kernel, explained = _least_squares_kernel(blurred, sharp, reach)
-        if _border(kernel).mean() <= _DARK * kernel.max():
-            if explained < _EXPLAINED:
-                break
-            return _cleaned(_centered(kernel))
-    raise ValueError(
-        f"{name} does not show what its sharp picture shows, "
-        f"or is blurred over more than {min(widest, _REACHES[-1])} px from the centre"
-    )
-
-
-def _middle(picture: Float32) -> Float32:
-    """Cut the middle out of a large picture."""
-    top, left = (max(length - _MIDDLE, 0) // 2 for length in picture.shape)
-    return picture[top : top + _MIDDLE, left : left + _MIDDLE]
-
-
-def _aligned(blurred: Float32, sharp: Float32) -> tuple[Float32, Float32]:
-    """Cut two pictures down to what both show, moved by whole px."""
-    # What one shows beyond the border of the other must not count: both fade out.
-    fading = np.multiply.outer(*(np.hanning(length) for length in sharp.shape))
-    pair = ((picture - picture.mean()) * fading for picture in (blurred, sharp))
-    likeness = correlate(*pair, mode="same", method="fft")
-    best = np.unravel_index(np.argmax(likeness), likeness.shape)
-    shift = np.array(best) - np.array(likeness.shape) // 2
-    ahead = tuple(slice(max(amount, 0), min(amount, 0) or None) for amount in shift)
-    behind = tuple(slice(max(-amount, 0), min(-amount, 0) or None) for amount in shift)
-    return blurred[ahead], sharp[behind]
-
-
-def _least_squares_kernel(blurred: Float32, sharp: Float32, reach: int) -> tuple[Float64, float]:
-    """Minimise |sharp * h - blurred|^2 for h >= 0, up to a constant brightness.
-
-    Returns
-    -------
-    kernel : (K, K) float64 ndarray
-    explained : float
-        The share of the blurred picture's variance that it explains, from 0 to 1.
-    """
-    target = blurred[reach:-reach, reach:-reach].astype(np.float64)
-    target -= target.mean()
-    source = sharp - sharp.mean(dtype=np.float64)
-    normal = _correlations(source, reach)
-    right = correlate(source, target, mode="valid")[::-1, ::-1].ravel()
-    ridge = _RIDGE * np.trace(normal) / len(normal) + np.finfo(float).tiny
-    factor = cholesky(normal + ridge * np.eye(len(normal)), lower=True)
-    kernel, _ = nnls(factor.T, solve_triangular(factor, right, lower=True))
-    power = np.sum(target**2)
-    explained = (2 * kernel @ right - kernel @ normal @ kernel) / power if power > 0 else 0.0
-    return kernel.reshape(2 * reach + 1, -1), explained
-
-
-def _correlations(source: Float64, reach: int) -> Float64:
-    """Return the products of the inner part of a picture moved in two ways: (K^2, K^2).
-
-    Entry (u, v) is the sum over x of f[x - u] f[x - v] without the means; it is found from the
-    product of the picture with itself moved by v - u, once for all pairs of that difference.
-    """
-    side = 2 * reach + 1
-    height, width = source.shape
-    rows, columns = (_moved_inner_part(length, reach) for length in source.shape)
-    products = np.empty((side, side, side, side))
-    for down, across in np.ndindex(side, 2 * side - 1):
-        across -= side - 1
-        if down == 0 and across < 0:
-            continue
-        left, right = max(across, 0), width + min(across, 0)
-        moved = source[: height - down, left - across : right - across]
-        sums = (
-            rows[: side - down, down:]
-            @ (source[down:, left:right] * moved)
-            @ columns[max(-across, 0) : side - max(across, 0), left:right].T
-        )
-        i, j = (np.arange(length) for length in sums.shape)
-        i, j = i[:, None], j + max(-across, 0)
-        products[i, j, i + down, j + across] = sums
-        products[i + down, j + across, i, j] = sums
-    inner = (height - 2 * reach) * (width - 2 * reach)
-    means = (rows @ source @ columns.T).ravel() / inner
-    return products.reshape(side**2, -1) - inner * np.multiply.outer(means, means)
-
-
-def _moved_inner_part(length: int, reach: int) -> Float64:
-    """Mark the pixels that lie `reach` or more inside, moved by reach ... -reach: (K, length)."""
-    first = 2 * reach - np.arange(2 * reach + 1)[:, None]
-    place = np.arange(length)
-    return ((place >= first) & (place < first + length - 2 * reach)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""PSF families: point-spread functions indexed by one scale, in px of the input picture.
+"""PSF families: point spread functions indexed by one scale, in px of the input picture.
 
 Kernels hold what falls on each pixel, not samples at the pixels' centres: the shape's exact
 area, or the exact integral of its profile. All are continuous in the scale and become a point
@@ -12,26 +12,33 @@ import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral, Real
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from numbers import Integral
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf, gammaincinv, gammaln
 
-from napari_defocus.core.checks import check_real
+from napari_defocus.core.checks import check_number
+from napari_defocus.psf import MAX_RADIUS
+from napari_defocus.psf.checks import check_largest, checked_kernels, checked_scale
+from napari_defocus.psf.pixel_areas import (
+    corners_to,
+    disc_area,
+    from_cumulative,
+    from_quadrant,
+    polygon_area_below,
+)
 
 Float64 = NDArray[np.floating]
 
-MAX_RADIUS = 8.0
-"""Largest radius, in px, that is looked for unless another one is said."""
-
 _GAUSSIAN_CUT = 4.0
-_TAIL = 1e-4
-_NODES = 128
-_ROUNDING = 1e-9
-_LARGEST_SCALE = 10_000
-"""px; the kernel of a disc of that radius takes 3 GB."""
+"""Standard deviations: beyond them, on an axis, lies 6e-5 of the light."""
+
+_TAIL, _NODES = 1e-4, 128
+"""Of `GeneralizedGaussian`: the share of its discs, the largest ones, that is left out, and how
+many the others become (Gauss-Legendre nodes). Chosen by hand.
+"""
 
 
 @runtime_checkable
@@ -56,9 +63,13 @@ class PSFFamily(Hashable, Protocol):
 
 @dataclass(frozen=True)
 class Disc:
-    """Uniform disc, the PSF of an ideal lens with a round aperture; its scale is the radius.
+    r"""Uniform disc, the PSF of an ideal lens with a round aperture; its scale is the radius.
 
-    A disc of a radius up to 0.5 px is a point.
+    .. math:: h(\mathbf{x}; r) = \frac{1}{\pi r^2} \text{ where } \|\mathbf{x}\| \le r,
+        \text{ else } 0
+
+    A pixel has the integral over its area. A disc of a radius up to 0.5 px is a point. It is the
+    model of the paper (Section IV).
 
     Parameters
     ----------
@@ -92,12 +103,19 @@ class Disc:
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the area-coverage disc of radius `scale` (px), normalised to sum 1."""
         scale = checked_scale(scale)
-        return _from_quadrant(_disc_area(corners_to(scale), max(scale, 0.5)))
+        return from_quadrant(disc_area(corners_to(scale), max(scale, 0.5)))
 
 
 @dataclass(frozen=True)
 class Annulus:
-    """Uniform ring, the PSF of a mirror lens; its scale is the outer radius.
+    r"""Uniform ring, the PSF of a mirror lens; its scale is the outer radius.
+
+    With the obstruction :math:`\epsilon`,
+
+    .. math:: h(\mathbf{x}; r) = \frac{1}{\pi r^2 (1 - \epsilon^2)}
+        \text{ where } \epsilon r \le \|\mathbf{x}\| \le r, \text{ else } 0
+
+    A pixel has the integral over its area.
 
     Parameters
     ----------
@@ -136,21 +154,25 @@ class Annulus:
         """Return the area-coverage ring of outer radius `scale` (px), normalised to sum 1."""
         scale = checked_scale(scale)
         outer = max(scale, 0.5)
-        area = _disc_area(corners_to(outer), outer)
+        area = disc_area(corners_to(outer), outer)
         inner = self.obstruction * outer
         if inner > 0:
-            area -= _disc_area(corners_to(outer), inner)
-        return _from_quadrant(area)
+            area -= disc_area(corners_to(outer), inner)
+        return from_quadrant(area)
 
 
 @dataclass(frozen=True)
 class Polygon:
-    """Regular polygon, the PSF of a leaf shutter (Section III-A).
+    r"""Regular polygon, the PSF of a leaf shutter (Section III-A).
 
-    Its scale is the radius of the disc of the same area, so that px mean the same as with
-    `Disc`; the corners lie sqrt(2 pi / (n sin(2 pi / n))) times as far out, 1.10 times for 6
-    blades. With an odd number of blades, the PSF in front of the focal plane is the one behind
-    it turned by 180 degrees; their spectra are the same.
+    Its scale r is the radius of the disc of the same area, so that px mean the same as with
+    `Disc`; the n corners lie at
+
+    .. math:: R = r \sqrt{\frac{2 \pi / n}{\sin(2 \pi / n)}},
+
+    1.10 times as far out for 6 blades. Inside, the PSF is :math:`1 / (\pi r^2)`; a pixel has the
+    integral over its area. With an odd number of blades, the PSF in front of the focal plane is
+    the one behind it turned by 180 degrees; their spectra are the same.
 
     Parameters
     ----------
@@ -203,15 +225,18 @@ class Polygon:
         angle = np.deg2rad(float(self.rotation) % 360) + turn * np.arange(self.blades)
         half = corners_to(radius)
         corners = np.concatenate([-half[::-1], half])
-        below = _polygon_area_below(-radius * np.sin(angle), radius * np.cos(angle), corners)
+        below = polygon_area_below(-radius * np.sin(angle), radius * np.cos(angle), corners)
         return from_cumulative(below)
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Gaussian, for optics that diffraction and aberrations round off; its scale is sigma.
+    r"""Gaussian, for optics that diffraction and aberrations round off; its scale is sigma.
 
-    Cut off at 4 sigma.
+    .. math:: h(\mathbf{x}; \sigma) = \frac{1}{2 \pi \sigma^2}
+        \exp\left(-\frac{\|\mathbf{x}\|^2}{2 \sigma^2}\right)
+
+    A pixel has the integral over its area. Cut off at 4 sigma.
 
     Parameters
     ----------
@@ -254,13 +279,17 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class GeneralizedGaussian:
-    """The profile exp(-(rho / alpha)^exponent); its scale is the standard deviation on an axis.
+    r"""A profile from round to steep; its scale sigma is the standard deviation along an axis.
 
-    Exponent 2 is the Gaussian; the larger it is, the steeper the edge; infinity is a disc of
-    radius 2 sigma. alpha = 2 sigma sqrt(Gamma(1 + 2/exponent) / Gamma(1 + 4/exponent)) in terms
-    of the scale sigma. A profile that falls everywhere is a mixture of discs: here
-    t = (R / alpha)^exponent of their radii R has a gamma distribution of shape 1 + 2/exponent,
-    of which the last 1e-4 is left out.
+    With the exponent p,
+
+    .. math:: h(\mathbf{x}; \sigma) \propto \exp\left(-(\|\mathbf{x}\| / \alpha)^p\right),
+        \qquad \alpha = 2 \sigma \sqrt{\frac{\Gamma(1 + 2/p)}{\Gamma(1 + 4/p)}}
+
+    2 is the Gaussian; the larger p is, the steeper the edge; infinity is a disc of radius
+    2 sigma. A profile that falls everywhere is a mixture of discs: here
+    :math:`t = (R / \alpha)^p` of their radii R has a gamma distribution of shape 1 + 2/p, of
+    which the last 1e-4 is left out.
 
     Parameters
     ----------
@@ -302,8 +331,8 @@ class GeneralizedGaussian:
         radii = radii * scale
         if radii[-1] <= 0.5:
             return np.ones((1, 1))
-        areas = _disc_area(corners_to(radii[-1]), radii[:, None, None])
-        return _from_quadrant(np.einsum("k,kij->ij", weights / radii**2, areas))
+        areas = disc_area(corners_to(radii[-1]), radii[:, None, None])
+        return from_quadrant(np.einsum("k,kij->ij", weights / radii**2, areas))
 
     @cached_property
     def _discs(self) -> tuple[Float64, Float64]:
@@ -387,117 +416,6 @@ def as_family(psf: PSFFamily | Callable[[float], ArrayLike]) -> PSFFamily:
         if callable(psf):
             return KernelFunction(psf)
     raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
-
-
-def check_number(
-    name: str, value: Any, fits: Callable[[Any], bool], takes: str, kind: type = Real
-) -> None:
-    """Check one parameter of a family: its type, and whether it fits."""
-    if not isinstance(value, kind):
-        raise TypeError(f"{name} is {value!r}; it takes {takes}")
-    check_real(name, value, takes)
-    if not fits(value):
-        raise ValueError(f"{name} is {value}; it takes {takes}")
-
-
-def checked_scale(scale: float) -> float:
-    """Check the scale that a kernel is asked for, in px; what is below 0 is a point, as 0 is."""
-    takes = f"a number of px up to {_LARGEST_SCALE}"
-    check_number("scale", scale, lambda s: -math.inf < s <= _LARGEST_SCALE, takes)
-    return max(float(scale), 0.0)
-
-
-def check_largest(name: str, value: float) -> None:
-    """Check the largest scale of a family, in px."""
-    check_number(name, value, lambda v: 1 <= v < math.inf, "a number from 1 px up")
-
-
-def checked_kernels(kernels: ArrayLike, ndim: int, found: str, takes: str) -> NDArray[np.float64]:
-    """Return kernels normalised to sum 1; `found` and `takes` begin and end the errors."""
-    array = real_array(kernels, found)
-    square = array.ndim == ndim and array.shape[-1] == array.shape[-2]
-    if not square or array.shape[-1] % 2 == 0 or array.size == 0:
-        raise ValueError(
-            f"{found} an array of shape {array.shape}; it takes {takes}, (K, K) with K odd"
-        )
-    # Kernels that went through an FFT have zeros of either sign.
-    if not (np.isfinite(array).all() and array.min() >= -_ROUNDING * array.max()):
-        raise ValueError(
-            f"{found} values from {array.min()} to {array.max()}; it takes finite ones from 0 up"
-        )
-    array = np.maximum(array, 0)
-    sums = array.sum(axis=(-2, -1), keepdims=True)
-    if not (sums > 0).all():
-        raise ValueError(f"{found} only zeros; it takes a positive sum")
-    return array / sums
-
-
-def real_array(values: ArrayLike, found: str) -> NDArray[np.float64]:
-    """Return values as real numbers; `found` begins the error if they are none."""
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise ValueError(f"{found} no array: {error}") from None
-    if array.dtype.kind not in "buif":
-        raise TypeError(f"{found} {array.dtype} values; it takes real numbers")
-    return array.astype(np.float64)
-
-
-def corners_to(reach: float) -> Float64:
-    """Return 0.5, 1.5, ... px: the corners from the middle pixel's to the first past `reach`."""
-    return np.arange(max(math.ceil(reach - 0.5), 0) + 1) + 0.5
-
-
-def _from_quadrant(area: Float64) -> NDArray[np.float64]:
-    """Return the kernel whose sums from the centre to the corners right below are given."""
-    return from_cumulative(np.block([[area[::-1, ::-1], -area[::-1]], [-area[:, ::-1], area]]))
-
-
-def from_cumulative(below: Float64) -> NDArray[np.float64]:
-    """Return the kernel whose sums up to each corner, but for a constant, are given."""
-    covered = np.maximum(np.diff(np.diff(below, axis=0), axis=1), 0)
-    return covered / covered.sum()
-
-
-def _disc_area(corners: Float64, radius: float | Float64) -> Float64:
-    """Return the area of a disc between its centre and each pair of corners: (..., C, C).
-
-    Parameters
-    ----------
-    corners : (C,) float64 ndarray
-        Positive, in px.
-    radius : float or (..., 1, 1) float64 ndarray
-    """
-    down, across = np.minimum(corners[:, None], radius), np.minimum(corners, radius)
-
-    def half_chord(u: Float64) -> Float64:
-        return np.sqrt((radius - u) * (radius + u))
-
-    def under_arc(u: Float64) -> Float64:
-        return 0.5 * (u * half_chord(u) + radius**2 * np.arcsin(u / radius))
-
-    flat = np.minimum(half_chord(down), across)
-    return down * flat + under_arc(across) - under_arc(flat)
-
-
-def _polygon_area_below(row: Float64, column: Float64, corners: Float64) -> Float64:
-    """Return the area of a polygon up to each row and column, but for a constant: (C, C).
-
-    By the divergence theorem: the integral of min(row, limit) over the columns, along all
-    edges. The sign of the area is that of the sense in which the polygon is run through.
-    """
-    row0, row1 = row[:, None, None], np.roll(row, -1)[:, None, None]
-    column0, column1 = column[:, None, None], np.roll(column, -1)[:, None, None]
-    width = column1 - column0
-    slope = np.divide(row1 - row0, width, out=np.zeros_like(width), where=width != 0)
-    start, stop = np.minimum(column0, corners), np.minimum(column1, corners)
-    # Rows relative to the limit: over a closed line, the limit itself cancels.
-    row_start = row0 + slope * (start - column0) - corners[:, None]
-    row_stop = row0 + slope * (stop - column0) - corners[:, None]
-    inside = np.minimum(row_start, 0) + np.minimum(row_stop, 0)
-    span = np.abs(row_start) + np.abs(row_stop)
-    mean = inside**2 / (2 * np.maximum(span, np.finfo(float).tiny))
-    return np.sum((start - stop) * mean, axis=0)
 
 
 def radius_per_scale(family: PSFFamily) -> int:

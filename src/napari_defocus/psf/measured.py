@@ -18,32 +18,42 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import convolve
 
 import napari_defocus
-from napari_defocus.psf.families import (
-    check_largest,
-    checked_kernels,
-    checked_scale,
-    corners_to,
-    real_array,
-)
+from napari_defocus.psf.checks import check_largest, checked_kernels, checked_scale, real_array
+from napari_defocus.psf.pixel_areas import corners_to
 
 Float64 = NDArray[np.floating]
 
 _SMALLEST_RATIO = 1e-3
+"""No kernel is scaled down further. Chosen by hand."""
+
 _INVISIBLE = 1e-6
+"""Of the largest value: borders that are darker are cut off. Chosen by hand."""
+
 _LARGEST_FILE = 2**30
 """Bytes that a file may unpack to; 100 kernels of 501 px are 0.2 GB."""
+
 _FORMAT = "napari-defocus measured PSF, 1"
+"""What files of ours say of themselves."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class MeasuredPSF:
-    """A family from kernels that were measured at some scales, as `calibrate_psf` makes it.
+    r"""A family from kernels that were measured at some scales, as `calibrate_psf` makes it.
 
     A lens' PSF is its aperture, scaled, and the largest kernel shows the aperture best: it is
     scaled down to every scale. What a smaller measured kernel has beyond the larger ones scaled
     down is scaled too and added, in full below its scale, fading linearly towards the next
     larger one. So the measured kernels come out as they went in. Below the smallest the kernel
     shrinks to a point; above the largest it grows.
+
+    With the kernels :math:`h_m` measured at :math:`r_1 < \ldots < r_M`, and :math:`S_q` for what
+    scales a kernel by q and keeps its sum,
+
+    .. math::
+        d_m = h_m - \sum_{k > m} S_{r_m / r_k} d_k, \qquad
+        h(r) = \sum_{k \ge m} S_{r / r_k} d_k
+        + \frac{r_m - r}{r_m - r_{m-1}} S_{r / r_{m-1}} d_{m-1}
+        \quad \text{for } r_{m-1} < r \le r_m
 
     A kernel measured at scale 0 is what the lens does in focus. It cannot shrink: below the
     smallest of the others it is put in again, convolved, as they shrink.

@@ -1,1 +1,1 @@
-"""The blur taken away, (19), and another focus given."""
+"""The blur taken away, (19), by non-blind deconvolution, and another focus given."""

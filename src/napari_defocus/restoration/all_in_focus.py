@@ -1,4 +1,4 @@
-"""The all-in-focus picture, (19): what is asked for, checked, and restored with care."""
+"""The all-in-focus picture, (19): what is asked for, checked, and deconvolved with care."""
 
 from __future__ import annotations
 
@@ -35,6 +35,10 @@ Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _TV_OF_NOISE, _LEAST_TV = 30.0, 3e-5
+"""lambda of (19): so many times the noise variance of a channel, and at least so much, for a
+contrast of 1. By hand, on simulated pictures.
+"""
+
 _LUMA_OF_NOISE = float(np.sum(np.square(LUMA_WEIGHTS)))
 """Variance of the luminance of noise of variance 1 in each channel."""
 
@@ -84,7 +88,7 @@ class Restoration:
     ) -> Float32:
         """Minimise (19) for a picture and how it is prepared; return it in the image's shape."""
         colors = self._colors(picture, blur_map, confidence, progress)
-        return with_unknown(_in_shape_of(image, colors), image)
+        return with_unknown(in_shape_of(image, colors), image)
 
     def _colors(
         self,
@@ -151,8 +155,8 @@ def _checked_confidence(confidence: ArrayLike, shape: tuple[int, int]) -> Float3
     return array.astype(np.float32)
 
 
-def _in_shape_of(image: ArrayLike, color: Float32) -> Float32:
-    """Return a picture's colour with its number of channels, and its own opacity."""
+def in_shape_of(image: ArrayLike, color: Float32) -> Float32:
+    """Return colours, (H, W, C), in the shape of a picture, with its opacity if it has one."""
     array = np.asarray(image)
     if array.ndim == 2:
         return color[..., 0]

@@ -1,14 +1,21 @@
-"""Deconvolution with the PSF of every pixel's own scale, (19).
+"""Non-blind deconvolution with the point spread function of every pixel's own scale, (19).
 
-What is minimised over pictures f, with the blur A of (1), the picture g and weights w, is
+What is minimised over pictures f, with the blur A of (1), the picture g and weights w, is a data
+term and a regularization, the total variation (TV) rounded at 0,
 
     sum_x w_x |(A f)[x] - g[x]|^2 + lambda sum_x sqrt(|grad f[x]|^2 + eps^2),
 
 where |grad f|^2 is the sum over both directions and all channels: edges of the channels lie at
-the same places. Each round replaces the second sum by the quadratic that touches it from above
-(half-quadratic regularisation: Geman and Reynolds, IEEE PAMI 14(3), 1992; Vogel and Oman, SIAM
-J. Sci. Comput. 17(1), 1996) and goes some steps of conjugate gradients towards its minimum.
-They are preconditioned by Wiener-like filters on overlapping tiles, each with its own scale:
+the same places. As a prior, it says that pictures have few and steep edges. It is solved by
+iteratively reweighted least squares (IRLS; half-quadratic regularization: Geman and Reynolds,
+IEEE PAMI 14(3), 1992; lagged diffusivity: Vogel and Oman, SIAM J. Sci. Comput. 17(1), 1996). Each
+round replaces the second sum by the quadratic sum_x c_x |grad f[x]|^2 that touches it from above,
+with the IRLS weights c = lambda / (2 sqrt(|grad f|^2 + eps^2)) of the present f, and goes some
+steps of preconditioned conjugate gradients (PCG) towards the solution of
+
+    (A' w A + grad' c grad) f = A' w g.
+
+The preconditioner consists of Wiener-like filters on overlapping tiles, each with its own scale:
 the blur is nearly constant in a tile, and what it takes away is what they give back. This is
 what makes it fast: without, ten times as many steps are not enough.
 
@@ -35,28 +42,65 @@ from napari_defocus.core.progress import Progress
 from napari_defocus.core.threads import in_bands
 from napari_defocus.forward.blur_operator import BlurOperator, half_variance_slope
 from napari_defocus.psf.families import PSFFamily
-from napari_defocus.restoration.preconditioner import TiledInverse
+from napari_defocus.restoration.preconditioner import TiledPreconditioner
 
 Float32 = NDArray[np.float32]
 
 _DOUBT, _DOUBT_POWER = 2.0, 3
-_SILENCE = 1e-8
-_CLIPPED = 1 - 1 / 255
+"""The error of a radius, in px, that counts where the confidence is 0, and the power of one minus
+the confidence with which it falls. Chosen by hand; that an error of 0.03 r + 0.05 px everywhere
+lost is in docs/decisions.md.
+"""
 
-_FIRST_ROUNDING, _ROUNDING = 0.02, 1e-3
-"""eps, of the first round and from which on it no longer halves."""
+_SILENCE = 1e-8
+"""Least noise variance, in units of the squared contrast: data without any noise do not outweigh
+everything. Chosen by hand.
+"""
+
+_CLIPPED = 1 - 1 / 255
+"""Intensity from which on light counts as clipped: the last level but one of 8 bits."""
+
+_FIRST_EPSILON, _LEAST_EPSILON = 0.02, 1e-3
+"""eps, in units of the contrast, of the first round and from which on it no longer halves. Chosen
+by hand.
+"""
 
 _STEPS_A_ROUND, _MOST_ROUNDS, _USUAL_ROUNDS = 5, 25, 8
+"""PCG steps a round, rounds at most, and rounds that pictures usually need, for the progress: 30
+to 40 steps (docs/decisions.md). The first two are chosen by hand.
+"""
+
 _TOLERANCE = 3e-3
+"""A round that changes less than this share of the picture's norm is the last. Chosen by hand."""
 
 _CHECKED_AFTER = (2, 4)
-_GROSS = 8.0
-_VISIBLE = 2e-5
-_RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
-_LEAST_KNOWN = 0.05
-_LEAST_SHARE, _UNCHANGED = 0.5, 0.95
+"""Rounds, from 0, after which scales that explain nothing are reduced (docs/decisions.md)."""
 
-_STIFFNESS_OF_TV = 15.0
+_GROSS = 8.0
+"""Times the noise that the residual's local power has to be. With 3 the gain on ramps fell to
+6.6 dB (docs/decisions.md).
+"""
+
+_VISIBLE = 2e-5
+"""Added to the noise variance in this, in units of the squared contrast (docs/decisions.md)."""
+
+_RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
+"""px: over which the residual's power is averaged, and how far around the scale is reduced.
+Chosen by hand.
+"""
+
+_LEAST_KNOWN = 0.05
+"""Share of its surroundings that is not clipped, from which on a residual counts. By hand."""
+
+_LEAST_SHARE, _UNCHANGED = 0.5, 0.95
+"""By how much a scale is reduced at most at once, and from which factor on it stays. Chosen by
+hand.
+"""
+
+_PRECONDITIONED_TV = 15.0
+"""Of the TV's weight: the constant IRLS weight c that the preconditioner assumes, that of a
+gradient of 1/30 of the contrast. Chosen by hand.
+"""
 
 
 class Deconvolution:
@@ -99,18 +143,18 @@ class Deconvolution:
         """Return the minimiser, (H, W, C); nothing keeps it in [0, 1]."""
         self._blur_by(scales)
         sharp = self._blur.extend(self._color)
-        sharp += self._inverse(self._pull(sharp)[0])
-        rounding = _FIRST_ROUNDING
+        sharp += self._preconditioner(self._negative_gradient(sharp)[0])
+        epsilon = _FIRST_EPSILON
         for count in range(_MOST_ROUNDS):
             start, whole = _STEPS_A_ROUND * count, _STEPS_A_ROUND * _USUAL_ROUNDS
             before = sharp.copy()
-            for step in self._descend(sharp, rounding):
+            for step in self._pcg_steps(sharp, epsilon):
                 progress("Taking the blur away", min((start + step) / whole, 1.0))
             change = sharp - before
             settled = _inner(change, change) < _TOLERANCE**2 * _inner(sharp, sharp)
-            if rounding <= _ROUNDING and settled:
+            if epsilon <= _LEAST_EPSILON and settled:
                 break
-            rounding = max(rounding / 2, _ROUNDING)
+            epsilon = max(epsilon / 2, _LEAST_EPSILON)
             if count in _CHECKED_AFTER and self._sure is not None:
                 scales, sharp = self._with_less_blur(scales, sharp)
         return sharp[self._blur.inner] * self._unit
@@ -118,12 +162,17 @@ class Deconvolution:
     def _blur_by(self, scales: Float32) -> None:
         self._blur = BlurOperator(scales, self._psf, self._color.shape[2])
         self._weight = self._weights(scales)
-        stiffness = _STIFFNESS_OF_TV * self._tv_weight
-        weight = self._weight[..., 0]
-        self._inverse = TiledInverse(self._blur, scales, self._psf, weight, stiffness, self._pool)
+        weight, regularization = self._weight[..., 0], _PRECONDITIONED_TV * self._tv_weight
+        self._preconditioner = TiledPreconditioner(
+            self._blur, scales, self._psf, weight, regularization, self._pool
+        )
 
     def _weights(self, scales: Float32) -> Float32:
-        """How much the data of each pixel count, (H, W, 1): noise over what else is wrong."""
+        """Return the weights w of the data, (H, W, 1): noise over noise and what else is wrong.
+
+        As the heat equation has it, a scale that is wrong by d px changes g by about
+        d (dv/dr) / 2 laplace g, with the variance v(r) of the PSF, see `half_variance_slope`.
+        """
         weight = np.ones((*scales.shape, 1), np.float32)
         if self._sure is not None:
             change = half_variance_slope(self._psf, scales)[..., None] * _laplacian(self._color)
@@ -134,8 +183,11 @@ class Deconvolution:
             weight = weight * self._opaque[..., None]
         return weight.astype(np.float32)
 
-    def _pull(self, sharp: Float32) -> tuple[Float32, Float32]:
-        """Return A' w (g - A f), and the w in use: 0 where clipped light is bright enough."""
+    def _negative_gradient(self, sharp: Float32) -> tuple[Float32, Float32]:
+        """Return that of half the data term, A' w (g - A f), and the w in use.
+
+        It is 0 where light was clipped and A f is bright enough.
+        """
         error = self._color - self._blur.apply(sharp)
         weight = self._weight
         if self._clipped is not None:
@@ -143,28 +195,28 @@ class Deconvolution:
         error *= weight
         return self._blur.adjoint(error), weight
 
-    def _descend(self, sharp: Float32, rounding: float) -> Iterator[int]:
-        """Go one round of conjugate gradient steps, in place; tell before each."""
-        residual, weight = self._pull(sharp)
-        stiffness = _stiffness(sharp, np.float32(self._tv_weight), np.float32(rounding))
-        residual -= _smoothness_form(stiffness, sharp)
-        conditioned = self._inverse(residual)
-        direction = conditioned.copy()
-        power = _inner(residual, conditioned)
+    def _pcg_steps(self, sharp: Float32, epsilon: float) -> Iterator[int]:
+        """Go one round of preconditioned conjugate gradient steps, in place; tell before each."""
+        residual, weight = self._negative_gradient(sharp)
+        irls_weights = _irls_weights(sharp, np.float32(self._tv_weight), np.float32(epsilon))
+        residual -= _graph_laplacian(irls_weights, sharp)
+        preconditioned = self._preconditioner(residual)
+        direction = preconditioned.copy()
+        power = _inner(residual, preconditioned)
         for step in range(_STEPS_A_ROUND):
             yield step
-            form = self._blur.adjoint(weight * self._blur.apply(direction))
-            form += _smoothness_form(stiffness, direction)
-            curvature = _inner(direction, form)
+            product = self._blur.adjoint(weight * self._blur.apply(direction))
+            product += _graph_laplacian(irls_weights, direction)
+            curvature = _inner(direction, product)
             if not (power > 0 and curvature > 0):
                 return
             length = power / curvature
             sharp += length * direction
-            residual -= length * form
-            conditioned = self._inverse(residual)
-            power, last = _inner(residual, conditioned), power
+            residual -= length * product
+            preconditioned = self._preconditioner(residual)
+            power, last = _inner(residual, preconditioned), power
             direction *= power / last
-            direction += conditioned
+            direction += preconditioned
 
     def _with_less_blur(self, scales: Float32, sharp: Float32) -> tuple[Float32, Float32]:
         """Reduce the scales where the result does not explain the picture, and start anew there.
@@ -202,26 +254,26 @@ def _laplacian(color: Float32) -> Float32:
     return around - 4 * color
 
 
-def _stiffness(picture: Float32, tv_weight: np.float32, rounding: np.float32) -> Float32:
-    """Return lambda / (2 sqrt(|grad f|^2 + eps^2)): (H, W)."""
-    stiffness = np.empty(picture.shape[:2], np.float32)
-    in_bands(_stiffen_rows, len(picture), picture, tv_weight, rounding, stiffness)
-    return stiffness
+def _irls_weights(picture: Float32, tv_weight: np.float32, epsilon: np.float32) -> Float32:
+    """Return c = lambda / (2 sqrt(|grad f|^2 + eps^2)): (H, W)."""
+    irls_weights = np.empty(picture.shape[:2], np.float32)
+    in_bands(_irls_weight_rows, len(picture), picture, tv_weight, epsilon, irls_weights)
+    return irls_weights
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _stiffen_rows(
+def _irls_weight_rows(
     start: int,
     stop: int,
     picture: Float32,
     tv_weight: np.float32,
-    rounding: np.float32,
-    stiffness: Float32,
+    epsilon: np.float32,
+    irls_weights: Float32,
 ) -> None:
     height, width, channels = picture.shape
     for row in range(start, stop):
         for column in range(width):
-            square = rounding * rounding
+            square = epsilon * epsilon
             for channel in range(channels):
                 if row + 1 < height:
                     step = picture[row + 1, column, channel] - picture[row, column, channel]
@@ -229,31 +281,34 @@ def _stiffen_rows(
                 if column + 1 < width:
                     step = picture[row, column + 1, channel] - picture[row, column, channel]
                     square += step * step
-            stiffness[row, column] = np.float32(0.5) * tv_weight / np.sqrt(square)
+            irls_weights[row, column] = np.float32(0.5) * tv_weight / np.sqrt(square)
 
 
-def _smoothness_form(stiffness: Float32, picture: Float32) -> Float32:
-    """Return grad' (c grad f), with c for the differences to the next row and column."""
-    form = np.empty_like(picture)
-    in_bands(_smooth_rows, len(picture), stiffness, picture, form)
-    return form
+def _graph_laplacian(irls_weights: Float32, picture: Float32) -> Float32:
+    """Return grad' (c grad f): half the gradient of sum_x c_x |grad f[x]|^2.
+
+    c_x weighs the differences to the next row and column.
+    """
+    laplacian = np.empty_like(picture)
+    in_bands(_graph_laplacian_rows, len(picture), irls_weights, picture, laplacian)
+    return laplacian
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _smooth_rows(
-    start: int, stop: int, stiffness: Float32, picture: Float32, form: Float32
+def _graph_laplacian_rows(
+    start: int, stop: int, irls_weights: Float32, picture: Float32, laplacian: Float32
 ) -> None:
     height, width, channels = picture.shape
     for row in range(start, stop):
         for column in range(width):
-            own = stiffness[row, column]
-            up = stiffness[row - 1, column] if row > 0 else np.float32(0)
-            left = stiffness[row, column - 1] if column > 0 else np.float32(0)
+            own = irls_weights[row, column]
+            up = irls_weights[row - 1, column] if row > 0 else np.float32(0)
+            left = irls_weights[row, column - 1] if column > 0 else np.float32(0)
             above, below = max(row - 1, 0), min(row + 1, height - 1)
             before, after = max(column - 1, 0), min(column + 1, width - 1)
             for channel in range(channels):
                 value = picture[row, column, channel]
-                form[row, column, channel] = (
+                laplacian[row, column, channel] = (
                     own * (value - picture[below, column, channel])
                     + own * (value - picture[row, after, channel])
                     + up * (value - picture[above, column, channel])

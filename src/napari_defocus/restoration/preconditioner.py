@@ -1,4 +1,10 @@
-"""Nearly the inverse of a blur that varies: overlapping tiles, each filtered with its own scale."""
+"""The preconditioner of the conjugate gradients of (19): overlapping tiles, a Wiener filter each.
+
+In a tile of one scale with the transfer function H, mean weight w and constant IRLS weight c,
+A' w A + grad' c grad is about the convolution with the spectrum w |H|^2 + c |D|^2, where |D|^2 is
+the Laplacian's; tiles are divided by that. Windows of sines, once before and once after, have
+squares that add up to 1.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +20,17 @@ from napari_defocus.psf.families import PSFFamily
 Float32 = NDArray[np.float32]
 
 _TILE = 64
+"""px: the least side of a tile (docs/decisions.md); two kernels if that is more."""
+
 _SCALE_STEP = 0.25
+"""px between the scales that tiles may have. Chosen by hand."""
+
+_LEAST_LAPLACIAN = 1e-2
+"""Added to |D|^2, which is 0 for the mean. Chosen by hand."""
 
 
-class TiledInverse:
-    """Nearly the inverse of A' w A + c grad' grad, for conjugate gradients.
+class TiledPreconditioner:
+    """Nearly the inverse of A' w A + c grad' grad, for preconditioned conjugate gradients.
 
     Parameters
     ----------
@@ -26,8 +38,8 @@ class TiledInverse:
     scales, weight : (H, W) float32 ndarray
         What makes A, and w.
     psf : PSFFamily
-    stiffness : float
-        c.
+    regularization : float
+        c, the same everywhere.
     pool : Executor
         What filters rows of tiles at once.
     """
@@ -38,7 +50,7 @@ class TiledInverse:
         scales: Float32,
         psf: PSFFamily,
         weight: Float32,
-        stiffness: float,
+        regularization: float,
         pool: Executor,
     ) -> None:
         self._pool, self._domain = pool, blur.domain
@@ -64,7 +76,7 @@ class TiledInverse:
         laplacian = 4 - 2 * np.cos(frequency[0]) - 2 * np.cos(frequency[1])
         spectra = np.stack([np.abs(fft.rfft2(kernel, (side, side))) ** 2 for kernel in kernels])
         form = means[1][..., None, None] * spectra.astype(np.float32)[nearest]
-        form += (stiffness * (laplacian + 1e-2)).astype(np.float32)
+        form += (regularization * (laplacian + _LEAST_LAPLACIAN)).astype(np.float32)
         self._filters = (1 / form).astype(np.float32)[..., None]
 
     def __call__(self, picture: Float32) -> Float32:

@@ -29,14 +29,14 @@ from napari_defocus.forward.occlusion import Layers, spread_layers
 from napari_defocus.optics.thin_lens import checked_side
 from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
 from napari_defocus.psf.measured import MeasuredPSF
-from napari_defocus.restoration.all_in_focus import Restoration
+from napari_defocus.restoration.all_in_focus import Restoration, in_shape_of
 from napari_defocus.settings import RefocusSettings, RestorationSettings
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _LAYER, _MOST_LAYERS = 0.25, 32
-"""Px of blur, before or after, from layer to layer, and how many there are at most."""
+"""px of blur, before or after, from layer to layer, and how many there are at most. By hand."""
 
 
 def change_focus(
@@ -55,26 +55,32 @@ def change_focus(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> Float32:
-    """Focus a picture on something else, or open or close its aperture, afterwards.
+    r"""Focus a picture on something else, or open or close its aperture, afterwards.
 
     A thin lens blurs what lies at the distance d, when it is focused on s, by the signed radius
-    r = R (1/s - 1/d), positive beyond s, where R is proportional to the aperture's diameter.
-    Focused on s' instead, where r was `focus`, and with the aperture `aperture` times as wide,
-    it blurs the same point by
+    r, positive beyond s, where R is proportional to the aperture's diameter. Focused on s'
+    instead, where r was :math:`r_0`, the argument `focus`, and with the aperture A times as wide,
+    the argument `aperture`, it blurs the same point by r':
 
-        r' = aperture (r - focus),
+    .. math:: r = R \left(\frac{1}{s} - \frac{1}{d}\right), \qquad r' = A \, (r - r_0)
 
-    whatever R, s and d are. (A lens that is focused nearer also makes the picture larger,
-    radii and all, by (1 - f/s) / (1 - f/s') with the focal length f: by 1.02 for 50 mm from 2 m
-    to 1.2 m. The size stays as it is here.) An aperture above 1 magnifies the defocus, as Bae
-    and Durand do [1]_; one below 1 reduces it, and 0 leaves the all-in-focus picture.
+    whatever R, s and d are. (A lens that is focused nearer also makes the picture larger, radii
+    and all, by (1 - f/s) / (1 - f/s') with the focal length f: by 1.02 for 50 mm from 2 m to
+    1.2 m. The size stays as it is here.) An aperture above 1 magnifies the defocus, as Bae and
+    Durand do [1]_; one below 1 reduces it, and 0 leaves the all-in-focus picture.
 
     The all-in-focus picture is blurred again as `simulate_layered_defocus` does it: nearer
     things hide farther ones, and what they hid before is filled from around. The same is done
     with the old radii, and what is seen in the picture but not in that, such as noise, fine
-    texture and the light of highlights, is added: blurred by sqrt(r'^2 - r^2) where the blur
-    grows, reduced by ``|r' / r|`` where it shrinks. So nothing changes where the radius stays, and
-    where it grows, faults of the all-in-focus picture hardly show. Where it shrinks, they do.
+    texture and the light of highlights, is added: blurred by :math:`\sqrt{r'^2 - r^2}` where the
+    blur grows, reduced by :math:`|r' / r|` where it shrinks. With :math:`B_r` for this forward
+    model and the all-in-focus picture :math:`\hat{f}`,
+
+    .. math:: g' = B_{r'} \hat{f} + B_{\sqrt{\max(r'^2 - r^2, \, 0)}} \left(
+        \min(1, |r' / r|) \, (g - B_r \hat{f})\right)
+
+    So nothing changes where the radius stays, and where it grows, faults of the all-in-focus
+    picture hardly show. Where it shrinks, they do.
 
     Parameters
     ----------
@@ -256,10 +262,4 @@ def _checked_sharp(
 def _as_given(light: Float32, image: ArrayLike, linearize: Linearize | None) -> Float32:
     """Return light as a picture of the shape of the given one, with its opacity."""
     color = np.clip(encode_srgb(light) if linearize == "srgb" else light, 0, 1)
-    given = np.asarray(image)
-    if given.ndim == 2:
-        color = color[..., 0]
-    elif given.shape[2] == 4:
-        whole = np.iinfo(given.dtype).max if given.dtype.kind in "ui" else 1
-        color = np.dstack([color, np.clip(given[..., 3] / whole, 0, 1).astype(np.float32)])
-    return with_unknown(color, image)
+    return with_unknown(in_shape_of(image, color), image)

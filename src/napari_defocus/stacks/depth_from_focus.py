@@ -1,4 +1,4 @@
-"""Where along a stack each place is in focus: the power that its planes have in common.
+"""Depth from focus: where along a stack each place is sharp, by the power its planes share.
 
 A thin lens that is moved by equal steps blurs by r_z = k |z - z0| px in plane z. One scene is
 behind all planes, so that its local power S_f at a frequency f, which (5) does not know for a
@@ -35,24 +35,48 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
 _RING_WIDTH = np.sqrt(2)
-"""Cycles a window."""
+"""Cycles a window, of a ring of frequencies. Chosen by hand."""
 
 _LEAST_NOISE = 1e-9
+"""Variance of the noise, for a contrast of 1, at least. Chosen by hand."""
+
 _SCORING_ROUNDS = 2
-_LEAST_POWER = np.float32(1e-3)
-_TINY = np.float32(1e-12)
+"""Steps of Fisher scoring after least squares. Chosen by hand."""
+
+_LEAST_POWER, _TINY = np.float32(1e-3), np.float32(1e-12)
+"""P_zf in units of the noise, whose logarithm is taken, at least; and what is added to squares that
+are divided by. Chosen by hand.
+"""
+
 _MOST_DEVIANCE = np.float32(3)
+"""Units of log-likelihood that d of one plane and frequency counts at most. Chosen by hand."""
+
 _LEAST_DISPERSION = np.float32(0.05)
+"""Of a window: no fit is trusted beyond. Chosen by hand."""
+
 _ROWS_AT_ONCE = 64
+"""Of windows. Results do not depend on it."""
 
-_SLOWEST, _FASTEST = 0.7, 8.0
-"""px: the least blur over a whole stack, and the most from plane to plane, that is looked for."""
+_LEAST_BLUR, _MOST_PX_A_PLANE = 0.7, 8.0
+"""px: the least blur over a whole stack, and the most from plane to plane, that is looked for.
+Chosen by hand.
+"""
 
-_LADDER = np.sqrt(2)
-_HALVINGS = 4
-_WINDOWS_FOR_SPEED = 400
+_LADDER, _HALVINGS = np.sqrt(2), 4
+"""From one rate of px a plane that is tried to the next, and how often half of that is tried around
+the best. Chosen by hand.
+"""
+
+_WINDOWS_FOR_RATE = 400
+"""About so many windows tell the rate. Chosen by hand."""
+
 _LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 8
+"""A window tells it whose power in the sharpest plane is so many times that of noise, and so many
+times its median; there have to be so many. Chosen by hand.
+"""
+
 _HALF_PLANE = 0.5
+"""Planes between positions that are tried for the rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +136,8 @@ class RingBank:
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """What the planes of a stack show at every window.
+class StackPower:
+    """The local power of all planes of a stack, at every window.
 
     Attributes
     ----------
@@ -139,7 +163,7 @@ class Sweep:
         noise_variance: float,
         gain: Float64,
         unit: float = 1.0,
-    ) -> Sweep:
+    ) -> StackPower:
         """Join what `RingBank.power` has found in each plane; `unit` is that of `Intensities`."""
         variance = max(noise_variance, _LEAST_NOISE * unit**2)
         power = np.empty((planes[0][..., 0].size, planes[0].shape[2], len(planes)), np.float32)
@@ -160,23 +184,25 @@ class Sweep:
     def px_per_plane(self) -> float:
         """Find by how many px the blur grows from plane to plane; NaN without any texture.
 
-        The width of the peak that each ring's power has along the planes tells: the speed with
-        the least deviance over the windows with the most texture, from a ladder of speeds.
+        The width of the peak that each ring's power has along the planes tells it: the rate with
+        the least deviance over the windows with the most texture, from a ladder of rates.
         """
         power = self._some_with_texture()
         if not len(power):
             return float("nan")
         planes = power.shape[2]
         positions = np.arange(0, planes - 1 + _HALF_PLANE / 2, _HALF_PLANE)
-        rungs = int(np.ceil(np.log(_FASTEST * (planes - 1) / _SLOWEST) / np.log(_LADDER)))
-        speeds = _FASTEST * _LADDER ** -np.arange(rungs + 1.0)
-        best, least = speeds[0], np.inf
+        rungs = int(
+            np.ceil(np.log(_MOST_PX_A_PLANE * (planes - 1) / _LEAST_BLUR) / np.log(_LADDER))
+        )
+        rates = _MOST_PX_A_PLANE * _LADDER ** -np.arange(rungs + 1.0)
+        best, least = rates[0], np.inf
         for halving in range(_HALVINGS + 1):
-            for speed in speeds:
-                misfit = float(self._deviance(power, positions, speed)[0].min(axis=1).sum())
+            for rate in rates:
+                misfit = float(self._deviance(power, positions, rate)[0].min(axis=1).sum())
                 if misfit < least:
-                    best, least = speed, misfit
-            speeds = best * _LADDER ** (np.array([-0.5, 0.5]) / 2**halving)
+                    best, least = rate, misfit
+            rates = best * _LADDER ** (np.array([-0.5, 0.5]) / 2**halving)
         return float(best)
 
     def excess(self) -> Float64:
@@ -198,7 +224,7 @@ class Sweep:
         shown = np.flatnonzero((peak > _LEAST_PEAK) & (peak > _LEAST_RISE * usual))
         if len(shown) < _FEWEST_WINDOWS:
             return self.power[:0]
-        return self.power[shown[:: max(1, len(shown) // _WINDOWS_FOR_SPEED)]]
+        return self.power[shown[:: max(1, len(shown) // _WINDOWS_FOR_RATE)]]
 
     def _deviance(
         self, power: Float32, positions: Float64, px_per_plane: float

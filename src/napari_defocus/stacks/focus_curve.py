@@ -107,9 +107,14 @@ def focus_curve(
     min_confidence: float = CONFIDENT,
     progress: Progress = silent,
 ) -> FocusCurve:
-    """Return how much of each plane of a stack is in focus, and how blurred it is.
+    r"""Return how much of each plane of a stack is in focus, and how blurred it is.
 
-    Planes are read one at a time, so that the stack may be larger than memory.
+    With the radii r of the known pixels K of a plane, its share in focus is
+
+    .. math:: \frac{1}{|K|} \, \left|\{\mathbf{x} \in K: r[\mathbf{x}] \le \tau\}\right|
+
+    where :math:`\tau` is `threshold`; with a mask, the share of the mask. Planes are read one at a
+    time, so that the stack may be larger than memory.
 
     Parameters
     ----------

@@ -1,11 +1,13 @@
 """A coherent position of best focus: labels of blocks, of pixels beside jumps, and between.
 
 A label is a position in the stack, a quarter of a plane from the next one. Labels are chosen as
-those of a blur map are, with `best_focus` as data term: a minimum of (14), the penalty (15) per
-label step, the weights (16) from a picture that is sharp everywhere.
+those of a blur map are, as the most likely state of a Markov random field with `depth_from_focus`
+as data term: a minimum of (14), with the pairwise term (15) per label step and the weights (16)
+from a picture that is sharp everywhere.
 
 Beside clear jumps, windows see both sides, and the sharper texture wins. There each pixel is
-asked itself: how much less fine detail it has at a position than at the one where it has most.
+asked itself: how much less its focus measure, the energy of fine detail, is at a position than at
+the one where it is most.
 Blur never adds detail, but light from across an edge does: up to 12 px from a jump the peak was
 right at 86 to 98 % of the pixels, where the fit of the whole curve, which such light misleads,
 was at 70 to 86 % (noise 1e-6).
@@ -23,6 +25,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.labeling.blur_map import CURVE_WEIGHT
 from napari_defocus.labeling.continuous_refinement import refine_curves
 from napari_defocus.labeling.data_term import informed_share
 from napari_defocus.labeling.graph_cuts import Labels, Mask, Places, minimize_energy
@@ -38,36 +41,54 @@ TOLERANCE = 0.5
 """What counts as right, in planes."""
 
 REACH = 6
-"""How far, in px, a jump may be moved off the blocks at once."""
+"""How far, in px, a jump may be moved off the blocks at once. Chosen by hand."""
 
 _DEPTH = np.float32(15)
-_CURVE_WEIGHT = np.float32(24)
+"""Units of log-likelihood that a position costs at most, as in labeling/data_term.py."""
+
 _NEIGHBORHOOD = 4.0
-"""px."""
+"""px: standard deviation of the Gaussian that averages evidence. Chosen by hand."""
 
 _CLEAR_EXCESS, _STEEPNESS = 1.4, 4.0
+"""Rise of the sharpest plane's power, in units of the noise's, with which evidence begins to count,
+and the power with which it does. Noise alone has 0.4 to 0.9; chosen by hand.
+"""
 
-_FINE = 1.0
-_SURROUNDINGS = 0.7
+_FINE, _SURROUNDINGS = 1.0, 0.7
+"""px: standard deviations of the Gaussians that take away what is not fine, and average the rest.
+Chosen by hand.
+"""
+
 _LEAST_ENERGY = np.float32(1e-9)
-_DETAIL_DEPTH, _DETAIL_WEIGHT = np.float32(2), np.float32(180)
+"""Of the focus measure, for a contrast of 1, whose logarithm is taken. Chosen by hand."""
+
+_MEASURE_DEPTH, _MEASURE_WEIGHT = np.float32(2), np.float32(180)
+"""Units of its logarithm that the focus measure may lack at most, and what one costs, in the units
+of the data term. Chosen by hand; how often the peak was right is said above.
+"""
+
 _PIXEL_SMOOTHNESS = 0.2
+"""Of the smoothness of blocks, between pixels. Chosen by hand."""
 
 _CLEAR_JUMP = 4.0
-"""Planes, within reach: beside smaller jumps, and on slopes, windows know better."""
+"""Planes, within reach: beside smaller jumps, and on slopes, windows know better. By hand."""
 
 _TEMPER = 0.7
+"""Power of the likelihood, before positions are compared for the confidence. Chosen by hand."""
+
 _WEIGHT_OF_MASS, _BIAS = 1.12, 4.07
-"""Fitted by benchmarks/stacks.py."""
+"""Of the logistic curve from log odds to the confidence: fitted by benchmarks/stacks.py --fit."""
 
 _LEAST_ODDS = 5e-4
-_ROUNDING = 1e-4
-_TINY = 1e-12
+"""Added to both shares, so that their log odds are finite. Chosen by hand."""
+
+_ROUNDING, _TINY = 1e-4, 1e-12
+"""Planes that rounding may take, and a weight that is divided by at least."""
 
 
 @dataclass(frozen=True, eq=False)
-class FocusGrid:
-    """What a stack's windows say about the position of best focus.
+class FocusCostVolume:
+    """What each position of best focus costs at each window of a stack.
 
     Attributes
     ----------
@@ -75,7 +96,7 @@ class FocusGrid:
         Of each position, in units of log-likelihood.
     excess : (R, C) ndarray
         By how much the power of the sharpest plane is above the median's, in units of noise.
-    steps : int
+    labels_a_plane : int
         Labels from plane to plane.
     blocks : Blocks
         Of the windows.
@@ -87,7 +108,7 @@ class FocusGrid:
 
     cost: Float32
     excess: Float64
-    steps: int
+    labels_a_plane: int
     blocks: Blocks
     stride: int
     unit: float = 1.0
@@ -137,15 +158,15 @@ class FocusGrid:
         (H, W) float32 ndarray
             In planes from the first.
         """
-        blocks, jump = self.blocks, max(2, self.steps)
-        data = _CURVE_WEIGHT * self._limited * self.informed[..., None]
+        blocks, jump = self.blocks, max(2, self.labels_a_plane)
+        data = CURVE_WEIGHT * self._limited * self.informed[..., None]
         weights = blocks.edge_weights(color, color_sigma, smoothness)
         labels = minimize_energy(
             data * blocks.area[..., None], weights, within(progress, 0, 0.5, "Choosing planes")
         )
         reach = 2 * (-(-REACH // self.stride)) + 1
         spread = maximum_filter(labels, reach) - minimum_filter(labels, reach)
-        near = blocks.spread(spread >= _CLEAR_JUMP * self.steps)
+        near = blocks.spread(spread >= _CLEAR_JUMP * self.labels_a_plane)
         pixels = label_pixels(
             labels,
             data,
@@ -155,7 +176,7 @@ class FocusGrid:
             color_sigma=color_sigma,
             jump=jump,
             reach=REACH,
-            change_at=self._by_detail(read, near, within(progress, 0.5, 0.8)),
+            change_at=self._change_of_measure(read, near, within(progress, 0.5, 0.8)),
             progress=within(progress, 0.8, 0.9),
         )
         pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
@@ -165,26 +186,28 @@ class FocusGrid:
             progress=within(progress, 0.9, 1.0),
         )  # fmt: skip
         scale = interpolate_labels(fine, labels, pixels, blocks, jump)
-        last = (self.cost.shape[2] - 1) / self.steps
-        return np.clip(scale / np.float32(LABEL_STEP * self.steps), 0, np.float32(last))
+        last = (self.cost.shape[2] - 1) / self.labels_a_plane
+        return np.clip(scale / np.float32(LABEL_STEP * self.labels_a_plane), 0, np.float32(last))
 
-    def _by_detail(self, read: ReadPlane, near: Mask, progress: Progress) -> ChangeAt | None:
-        """Return what a change of label costs by the pixels' own fine detail; NaN elsewhere."""
+    def _change_of_measure(
+        self, read: ReadPlane, near: Mask, progress: Progress
+    ) -> ChangeAt | None:
+        """Return what a change of label costs by the pixels' own focus measure; NaN elsewhere."""
         if not near.any():
             return None
-        planes = (self.cost.shape[2] - 1) // self.steps + 1
-        detail = np.empty((int(near.sum()), planes), np.float32)
+        planes = (self.cost.shape[2] - 1) // self.labels_a_plane + 1
+        measure = np.empty((int(near.sum()), planes), np.float32)
         for number in range(planes):
             progress("Looking along the edges", number / planes)
-            energy = fine_detail(read(number), _SURROUNDINGS)[near]
-            detail[:, number] = np.log(energy + _LEAST_ENERGY * np.float32(self.unit) ** 2)
-        lack = np.minimum(detail.max(axis=1, keepdims=True) - detail, _DETAIL_DEPTH)
-        lack *= _DETAIL_WEIGHT
+            energy = focus_measure(read(number), _SURROUNDINGS)[near]
+            measure[:, number] = np.log(energy + _LEAST_ENERGY * np.float32(self.unit) ** 2)
+        lack = np.minimum(measure.max(axis=1, keepdims=True) - measure, _MEASURE_DEPTH)
+        lack *= _MEASURE_WEIGHT
         row_of = np.maximum(np.cumsum(near.ravel()) - 1, 0)
 
         def cost(labels: Labels, place: Places) -> Float64:
-            plane, between = np.divmod(labels.ravel()[place], self.steps)
-            row, share = row_of[place], between / self.steps
+            plane, between = np.divmod(labels.ravel()[place], self.labels_a_plane)
+            row, share = row_of[place], between / self.labels_a_plane
             after = np.minimum(plane + 1, planes - 1)
             return np.asarray((1 - share) * lack[row, plane] + share * lack[row, after])
 
@@ -217,13 +240,13 @@ class FocusGrid:
         Of the likelihood within half a plane of each against that of all others: (R, C) each.
         """
         likelihood = np.exp(-_TEMPER * (self._averaged - self._averaged.min(axis=2, keepdims=True)))
-        labels = np.arange(self.cost.shape[2]) / self.steps
+        labels = np.arange(self.cost.shape[2]) / self.labels_a_plane
         agrees = np.abs(labels - position[..., None]) <= TOLERANCE + _ROUNDING
         share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
         return np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS)), agrees.mean(axis=2)
 
 
-def fine_detail(picture: PreparedImage, surroundings: float) -> Float32:
-    """Return the energy of details below 1 px around each pixel: (H, W)."""
+def focus_measure(picture: PreparedImage, surroundings: float) -> Float32:
+    """Return the focus measure of each pixel, the energy of details below 1 px there: (H, W)."""
     fine = picture.luminance - gaussian_filter(picture.luminance, _FINE)
     return gaussian_filter(fine**2, surroundings)

@@ -1,4 +1,4 @@
-"""The plane of a stack in which each pixel is sharpest, and a picture made of those pixels."""
+"""Focus stacking: the plane in which each pixel is sharpest, and a picture of those pixels."""
 
 from __future__ import annotations
 
@@ -23,28 +23,43 @@ from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, n
 from napari_defocus.core.known_pixels import limits_of
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.pairwise_term import Blocks
-from napari_defocus.likelihood.blur_spectra import check_windows
+from napari_defocus.likelihood.exact_spectra import check_windows
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import Disc, PSFFamily
 from napari_defocus.settings import MapSettings
-from napari_defocus.stacks.depth_from_focus import RingBank, Sweep
-from napari_defocus.stacks.focus_labels import FocusGrid, fine_detail
+from napari_defocus.stacks.depth_from_focus import RingBank, StackPower
+from napari_defocus.stacks.focus_labels import FocusCostVolume, focus_measure
 from napari_defocus.stacks.planes import StackPlanes
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 WINDOW = 17
-"""px: planes are compared with each other, which needs no resolution in frequency."""
+"""px: planes are compared with each other, which needs no resolution in frequency. By hand."""
 
-_SPEED_WINDOW, _SPEED_STRIDE = 33, 8
-"""px: how fast the blur grows is told by its absolute width, which does need resolution."""
+_RATE_WINDOW, _RATE_STRIDE = 33, 8
+"""px: how fast the blur grows is told by its absolute width, which does need resolution. Chosen by
+hand.
+"""
 
-_STEPS, _PX_A_STEP = 4, 0.125
-_ASSUMED_SPEED = 1.0
-_DETAIL_AREA = 2.0
+_LABELS_A_PLANE, _PX_A_LABEL = 4, 0.125
+"""Labels from plane to plane at most, and px of blur from label to label at least. By hand."""
+
+_ASSUMED_RATE = 1.0
+"""px a plane, where there is no texture to tell it. Chosen by hand."""
+
+_MEASURE_AREA = 2.0
+"""px: standard deviation of the Gaussian over which the focus measure is averaged, for the colours
+of the sharpest plane. Chosen by hand.
+"""
+
 _LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
+"""Mean above the darkest places, of the contrast, from which on planes are compared in brightness;
+and by which factor they may differ at most. Chosen by hand.
+"""
+
 _DARKEST = 0.001
+"""Quantile of a plane that counts as dark. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -108,13 +123,21 @@ def sharpest_plane(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> SharpestPlane:
-    """Find where each pixel of a stack is in focus, and put the sharpest pixels together.
+    r"""Find where each pixel of a stack is in focus, and put the sharpest pixels together.
 
-    The planes are of one scene, at equal steps of the focus: a place in focus at z0 is blurred by a
-    radius of ``k |z - z0|`` px in plane z. How the local power of each place changes from plane to
-    plane gives k, and z0 to a small part of a plane, see `napari_defocus.stacks.depth_from_focus`.
-    The positions are made coherent as a blur map is, see `label_blur_map`, and follow the picture's
-    edges where they jump; where there is no texture, they are extrapolated from around.
+    It is depth from focus, and focus stacking. The planes are of one scene, at equal steps of the
+    focus: a place in focus at :math:`z_0` is blurred by a radius of :math:`k |z - z_0|` px in
+    plane z. The power :math:`P_{zf}` that is seen at the frequency f in plane z is that of the
+    scene, :math:`S_f`, times the blur spectrum (6), and that of the noise (7). The cost of a
+    position is the deviance of (5),
+
+    .. math:: \sum_{z, f} \left(q_{zf} - 1 - \log q_{zf}\right), \qquad q_{zf} =
+        \frac{P_{zf}}{S_f \, \sigma_f^2(k |z - z_0|) + \sigma_{nf}^2}
+
+    with the best :math:`S_f`, the same in all planes. It gives k, and :math:`z_0` to a small part
+    of a plane, see `napari_defocus.stacks.depth_from_focus`. The positions are made coherent as a
+    blur map is, see `label_blur_map`, and follow the picture's edges where they jump; where there
+    is no texture, they are extrapolated from around.
 
     Planes are read one at a time, two to four times each, and never all at once.
 
@@ -201,26 +224,26 @@ def sharpest_plane(
     read = _Reader.of(planes, intensity_range, linearize)
     height, width = planes.shape[:2]
     bank = RingBank.over((height, width), psf, window, stride)
-    coarse = RingBank.over((height, width), psf, max(window, _SPEED_WINDOW), _SPEED_STRIDE)
-    (sweep, wide), color, intensities = _look(
+    coarse = RingBank.over((height, width), psf, max(window, _RATE_WINDOW), _RATE_STRIDE)
+    (power, wide), color, intensities = _read_planes(
         read, (bank, coarse), noise_variance, within(progress, 0.0, 0.4)
     )
     unit = intensities.unit
     progress("Finding the blur from plane to plane", 0.4)
     if px_per_plane is None:
         # What a window mixes, in scale or in frequency, makes the blur seem to grow slower.
-        speed = float(np.fmax(sweep.px_per_plane(), wide.px_per_plane()))
+        rate = float(np.fmax(power.px_per_plane(), wide.px_per_plane()))
     else:
-        speed = float(px_per_plane)
-    usable = speed if math.isfinite(speed) else _ASSUMED_SPEED
+        rate = float(px_per_plane)
+    usable = rate if math.isfinite(rate) else _ASSUMED_RATE
     progress("Comparing the planes", 0.45)
-    steps = int(np.clip(usable / _PX_A_STEP, 1, _STEPS))
-    positions = np.arange((len(planes) - 1) * steps + 1) / steps
-    cost = sweep.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
+    labels_a_plane = int(np.clip(usable / _PX_A_LABEL, 1, _LABELS_A_PLANE))
+    positions = np.arange((len(planes) - 1) * labels_a_plane + 1) / labels_a_plane
+    cost = power.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
     blocks = Blocks.around(bank.rows, bank.columns, (height, width))
-    excess = sweep.excess().reshape(cost.shape[:2])
-    grid = FocusGrid(cost, excess, steps, blocks, stride, unit)
-    position = grid.position(
+    excess = power.excess().reshape(cost.shape[:2])
+    volume = FocusCostVolume(cost, excess, labels_a_plane, blocks, stride, unit)
+    position = volume.position(
         read,
         color if unit == 1 else color / np.float32(unit),
         smoothness=smoothness,
@@ -228,7 +251,7 @@ def sharpest_plane(
         progress=within(progress, 0.6, 0.85),
     )
     progress("Measuring the confidence", 0.85)
-    confidence = grid.confidence(position)
+    confidence = volume.confidence(position)
     plane = np.rint(position).astype(np.int32)
     return SharpestPlane(
         position=position,
@@ -236,8 +259,8 @@ def sharpest_plane(
         composite=_composite(planes, plane, within(progress, 0.9, 1.0)),
         confidence=confidence,
         share_of_plane=np.bincount(plane.ravel(), minlength=len(planes)) / plane.size,
-        px_per_plane=speed,
-        noise_variance=sweep.noise_variance,
+        px_per_plane=rate,
+        noise_variance=power.noise_variance,
         intensities=intensities,
     )
 
@@ -283,12 +306,12 @@ class _Reader:
         return prepare_image(plane, self.intensity_range, self.linearize)
 
 
-def _look(
+def _read_planes(
     read: _Reader,
     banks: tuple[RingBank, ...],
     noise_variance: float | None,
     progress: Progress,
-) -> tuple[list[Sweep], Float32, Intensities]:
+) -> tuple[list[StackPower], Float32, Intensities]:
     """Read all planes: their power, and each pixel's colour where it has the most detail."""
     power: list[list[Float32]] = [[] for _ in banks]
     noise, brightness, darkness = [], [], []
@@ -302,7 +325,7 @@ def _look(
         noise.append(noise_variance_of(picture) if noise_variance is None else noise_variance)
         brightness.append(float(picture.luminance.mean()))
         darkness.append(float(np.quantile(picture.luminance, _DARKEST)))
-        detail = fine_detail(picture, _DETAIL_AREA)
+        detail = focus_measure(picture, _MEASURE_AREA)
         if number == 0:
             most, color = detail, picture.color.copy()
         else:
@@ -311,11 +334,11 @@ def _look(
     variance = float(np.median(noise))
     intensities = picture.intensities.with_contrast_of(color).above_noise(variance)
     gain = _gains(np.array(brightness) - min(darkness), intensities.contrast)
-    sweeps = [
-        Sweep.of(found, bank, variance, gain, intensities.unit)
+    powers = [
+        StackPower.of(found, bank, variance, gain, intensities.unit)
         for found, bank in zip(power, banks, strict=True)
     ]
-    return sweeps, color, intensities
+    return powers, color, intensities
 
 
 def _gains(brightness: Float64, contrast: float) -> Float64:

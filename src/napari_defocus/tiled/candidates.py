@@ -23,9 +23,9 @@ from numpy.typing import DTypeLike, NDArray
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.likelihood.blur_spectra import label_scales
-from napari_defocus.likelihood.candidates import Estimation, Search
+from napari_defocus.likelihood.estimation import Estimation, Search
 from napari_defocus.likelihood.maxima import CANDIDATES
-from napari_defocus.likelihood.noise import ShotNoise
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import RestorationSettings
 from napari_defocus.tiled.computing import computed, run_tasks

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.intensity import IntensityRange, Limits, needs_limits
 from napari_defocus.core.known_pixels import known_values, limits_of
-from napari_defocus.likelihood.noise import ShotNoise
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.tiled.tile_graph import TileGraph, after, pixels
 from napari_defocus.tiled.tile_tasks import Noise, Preparing, join_intensities, look_at_noise
 

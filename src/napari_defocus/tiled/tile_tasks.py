@@ -15,14 +15,14 @@ from napari_defocus.labeling.confidence import confidence_and_caution, map_confi
 from napari_defocus.labeling.graph_cuts import minimize_energy, solve_exactly
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
 from napari_defocus.labeling.segmentation import coarse_mask_problem, labeled_mask
-from napari_defocus.likelihood.candidates import BlurCandidates, Estimation, candidates_of
+from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.estimation import Estimation, candidates_of
 from napari_defocus.likelihood.noise import (
     NoiseSample,
-    ShotNoise,
-    mean_shot_noise,
     noise_variance_of,
     noise_variance_of_samples,
 )
+from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.tiled.tiles import Tile, blended
 

@@ -187,7 +187,7 @@ def _is_mask_on_map(viewer: ViewerModel, layer: Layer) -> bool:
 
 def prepare_napari() -> None:
     """Load what layers and their labels need: better before work begins than amidst it."""
-    import napari_defocus.likelihood.candidates  # noqa: F401
+    import napari_defocus.likelihood.estimation  # noqa: F401
 
     Labels(np.zeros((2, 2), np.uint8), features={"index": [0, 1]})
 

@@ -11,9 +11,8 @@ from napari.components import ViewerModel
 from napari.layers import Image, Surface
 from numpy.typing import NDArray
 
-from napari_defocus.core.checks import check_confidence
+from napari_defocus.core.checks import check_confidence, check_number
 from napari_defocus.optics.mesh import DepthSurface, blur_surface, depth_surface, picture_colors
-from napari_defocus.psf.families import check_number
 from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.display.view_state import CameraView, ViewState, show_alone, view_state
 from napari_defocus.widgets.jobs.distances import above, upright

@@ -18,7 +18,7 @@ AT_REST = 250
 """Milliseconds without a change after which the fine details of a large picture are worked out."""
 
 PREVIEWS = "previews"
-"""The lane of the process that makes them: they do not wait for the results."""
+"""The channel of the worker process that makes them: they do not wait for the results."""
 
 
 class LiveLabels(QObject):

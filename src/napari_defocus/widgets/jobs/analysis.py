@@ -134,17 +134,17 @@ class Analysis(Wanted):
         return self.plane == analysed.picture.plane and same
 
     def preview(
-        self, analysed: Analysed, progress: Progress = silent, lane: str = ""
+        self, analysed: Analysed, progress: Progress = silent, channel: str = ""
     ) -> list[LayerDataTuple]:
         """Return the wanted layers of a large picture at once, without their fine details.
 
-        There is no confidence among them. For `lane` see `run_elsewhere`.
+        There is no confidence among them. For `channel` see `run_elsewhere`.
         """
         from napari_defocus.labeling.blur_map import preview_of_blur_map
         from napari_defocus.labeling.segmentation import labeled_mask
 
         layers = []
-        common: dict[str, Any] = {"lane": lane, "progress": progress}
+        common: dict[str, Any] = {"channel": channel, "progress": progress}
         if self.blur_map:
             settings = self.estimation
             values = analysed.on_problem(preview_of_blur_map, settings=settings, **common)

@@ -136,7 +136,7 @@ class Analysed:
         self,
         function: Callable[..., Any],
         *,
-        lane: str = "",
+        channel: str = "",
         progress: Progress = silent,
         **keywords: Any,
     ) -> Any:
@@ -146,7 +146,7 @@ class Analysed:
         ----------
         function : callable
             Of a module of ours.
-        lane : str, optional
+        channel : str, optional
             See `run_elsewhere`.
         progress : callable, optional
         **keywords
@@ -158,7 +158,7 @@ class Analysed:
             return run_elsewhere(
                 with_problem,
                 *(function, self.name, ingredients),
-                lane=lane,
+                channel=channel,
                 progress=progress,
                 **keywords,
             )

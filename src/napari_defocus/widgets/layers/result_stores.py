@@ -78,7 +78,7 @@ class Place:
                 shape=shape,
                 dtype=dtype,
                 axes="".join(axes),
-                scale={a: abs(float(placed["scale"][axis])) for a, axis in axes.items()},
+                pixel_size={a: abs(float(placed["scale"][axis])) for a, axis in axes.items()},
                 units={a: unit for a, unit in units.items() if unit != "pixel"},
                 attributes={
                     "version": __version__,

@@ -34,7 +34,7 @@ UNIT_OF_SYMBOL = {
 _CENTIMETERS = 3
 _ESCAPED_MICRO = "\\u00B5"
 
-Scale = tuple[dict[str, float], dict[str, str]]
+PixelSize = tuple[dict[str, float], dict[str, str]]
 
 
 def unit_of(symbol: str) -> str | None:
@@ -49,8 +49,8 @@ def unit_of(symbol: str) -> str | None:
     return UNIT_OF_SYMBOL.get(plain.replace("\u00b5", "u").replace("\u03bc", "u"))
 
 
-def scale_in_tiff(tiff: Any, series: int = 0) -> Scale:
-    """Return the scale of the axes that have one, and their units.
+def pixel_size_in_tiff(tiff: Any, series: int = 0) -> PixelSize:
+    """Return the pixel size along the axes that have one, and their units.
 
     OME-XML is asked first, then what LSM says, then ImageJ's description, then the resolution
     tags. A resolution in dots an inch is the size of a print, and does not count.
@@ -63,17 +63,17 @@ def scale_in_tiff(tiff: Any, series: int = 0) -> Scale:
 
     Returns
     -------
-    scale : dict of str to float
+    pixel_size : dict of str to float
         By letter of axis: y, x, z, t.
     units : dict of str to str
         Of the same axes.
     """
     if tiff.ome_metadata:
-        return _ome_scale(tiff.ome_metadata, series)
+        return _ome_pixel_size(tiff.ome_metadata, series)
     if tiff.lsm_metadata:
-        return _lsm_scale(tiff.lsm_metadata)
+        return _lsm_pixel_size(tiff.lsm_metadata)
     if tiff.imagej_metadata:
-        return _imagej_scale(tiff.imagej_metadata, tiff.pages.first)
+        return _imagej_pixel_size(tiff.imagej_metadata, tiff.pages.first)
     page = tiff.pages.first
     if page.tags.valueof("ResolutionUnit") == _CENTIMETERS:
         steps = {axis: 1e4 * step for axis, step in _steps_of_pixels(page).items()}
@@ -81,7 +81,7 @@ def scale_in_tiff(tiff: Any, series: int = 0) -> Scale:
     return {}, {}
 
 
-def _ome_scale(text: str, series: int) -> Scale:
+def _ome_pixel_size(text: str, series: int) -> PixelSize:
     all_pixels = [e for e in ElementTree.fromstring(text).iter() if e.tag.endswith("}Pixels")]
     if not all_pixels:
         return {}, {}
@@ -94,12 +94,12 @@ def _ome_scale(text: str, series: int) -> Scale:
     return _with_units({axis: (float(step), unit) for axis, step, unit in steps if step})
 
 
-def _lsm_scale(noted: Mapping[str, Any]) -> Scale:
+def _lsm_pixel_size(noted: Mapping[str, Any]) -> PixelSize:
     steps = {axis: 1e6 * float(noted.get(f"VoxelSize{axis.upper()}", 0.0)) for axis in "zyx"}
     return _with_units({axis: (step, "um") for axis, step in steps.items()})
 
 
-def _imagej_scale(noted: Mapping[str, Any], page: Any) -> Scale:
+def _imagej_pixel_size(noted: Mapping[str, Any], page: Any) -> PixelSize:
     length = str(noted.get("unit", ""))
     steps = {axis: (step, length) for axis, step in _steps_of_pixels(page).items()}
     steps["z"] = (float(noted.get("spacing", 0)), str(noted.get("zunit", length)))
@@ -116,7 +116,7 @@ def _steps_of_pixels(page: Any) -> dict[str, float]:
     return steps
 
 
-def _with_units(steps: Mapping[str, tuple[float, str]]) -> Scale:
+def _with_units(steps: Mapping[str, tuple[float, str]]) -> PixelSize:
     told = {axis: unit_of(unit) for axis, (step, unit) in steps.items() if step > 0}
     units = {axis: unit for axis, unit in told.items() if unit}
     return {axis: steps[axis][0] for axis in units}, units

@@ -1,0 +1,118 @@
+"""What terminal commands tell of pictures, maps and masks: facts, and lines that say them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from napari_defocus.pipeline import Measurement
+from napari_defocus.settings import CONFIDENT, MapSettings
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from napari_defocus.core.intensity import Intensities
+    from napari_defocus.likelihood.candidates import BlurCandidates
+
+
+def picture_facts(
+    image: Path,
+    outputs: list[Path],
+    found: BlurCandidates | Measurement,
+    settings: MapSettings,
+) -> dict[str, Any]:
+    """Return what every command tells about a picture."""
+    variance, intensities = found.noise_variance, found.intensities
+    levels = 255.0 if intensities is None else intensities.grey_levels
+    return {
+        **file_of_picture(image, found.image_shape),
+        "psf": settings.psf,
+        "scale": found.psf.scale_name,
+        "noise_variance": variance,
+        "noise_sigma_grey_levels": None if variance is None else levels * variance**0.5,
+        "grey_levels": levels,
+        **intensity_facts(intensities),
+        "shot_noise": asdict(found.shot_noise) if found.shot_noise else None,
+        "files": [str(path) for path in outputs],
+    }
+
+
+def file_of_picture(image: Path, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Return what is told of the file that a picture was read from."""
+    from napari_defocus.io.pictures import told_choice_in
+
+    height, width = shape[:2]
+    return {"image": str(image), "taken": told_choice_in(image), "width": width, "height": height}
+
+
+def intensity_facts(intensities: Intensities | None) -> dict[str, Any]:
+    """Return what is told about intensities, in words, too; nothing if they are not known."""
+    return {} if intensities is None else intensities.facts() | {"intensities": str(intensities)}
+
+
+def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]:
+    """Return what is told about a map."""
+    import numpy as np
+
+    low, median, high = np.nanpercentile(found.blur_map, [5, 50, 95])
+    facts = {
+        "blur_median_px": float(median),
+        "blur_p5_px": float(low),
+        "blur_p95_px": float(high),
+        "left_out_percent": 100.0 * float(np.isnan(found.trusted(min_confidence)).mean()),
+    }
+    if found.confidence is not None:
+        facts["confidence_median"] = float(np.median(found.confidence))
+        facts["confident_percent"] = 100.0 * float((found.confidence >= CONFIDENT).mean())
+    return facts
+
+
+def mask_facts(mask: NDArray[Any]) -> dict[str, Any]:
+    """Return what is told about a mask."""
+    return {"in_focus_percent": 100.0 * float((mask != 0).mean())}
+
+
+def picture_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Say what `file_of_picture` are."""
+    yield f"picture      {facts['image']}, {facts['width']} x {facts['height']} px"
+    if facts["taken"]:
+        yield f"taken        {facts['taken']}"
+
+
+def intensity_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Say what `intensity_facts` are."""
+    if facts.get("intensities"):
+        yield f"intensities  {facts['intensities']}"
+
+
+def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Say what `picture_facts`, `file_facts`, `map_facts` and `mask_facts` are."""
+    yield from picture_lines(facts)
+    yield f"lens         {facts['psf']}, scale: {facts['scale']}"
+    yield from intensity_lines(facts)
+    if facts["noise_variance"] is not None:
+        variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
+        levels = f"{facts['grey_levels']:.6g} grey levels"
+        yield f"noise        variance {variance:.2g} (sigma {sigma:.3g} of {levels})"
+    if facts["shot_noise"]:
+        read, gain = facts["shot_noise"]["read_variance"], facts["shot_noise"]["gain"]
+        yield f"             variance {read:.2g} + {gain:.2g} x intensity"
+    if facts.get("map"):
+        yield f"map          {facts['map']}"
+    if "blur_median_px" in facts:
+        low, high = facts["blur_p5_px"], facts["blur_p95_px"]
+        yield (
+            f"blur         median {facts['blur_median_px']:.1f} px, "
+            f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
+        )
+    if "confidence_median" in facts:
+        yield (
+            f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
+            f"{facts['confident_percent']:.1f} % of the picture"
+        )
+    if facts.get("left_out_percent"):
+        yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
+    if "in_focus_percent" in facts:
+        yield f"in focus     {facts['in_focus_percent']:.1f} % of the picture"

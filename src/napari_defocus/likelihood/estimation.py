@@ -1,0 +1,210 @@
+"""From a prepared picture to its candidates: local spectra, likelihood curves, their maxima."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.core.checks import (
+    Linearize,
+    Mode,
+    Spectra,
+    check_linearize,
+    check_mode,
+    check_stride,
+)
+from napari_defocus.core.image import PreparedImage, prepare_image
+from napari_defocus.core.intensity import Intensities, IntensityRange
+from napari_defocus.core.progress import Progress, silent
+from napari_defocus.likelihood.analysis_grid import AnalysisGrid
+from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
+from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.exact_spectra import check_windows
+from napari_defocus.likelihood.fixed_point import fixed_point_maxima
+from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
+from napari_defocus.likelihood.maxima import CANDIDATES, local_maxima
+from napari_defocus.likelihood.noise import noise_variance_of
+from napari_defocus.likelihood.profile_likelihood import (
+    profile_log_likelihood,
+    quasi_log_likelihood,
+)
+from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise
+from napari_defocus.psf.families import PSFFamily
+from napari_defocus.settings import MapSettings
+
+Float32 = NDArray[np.float32]
+
+Search = Literal["lattice", "fixed-point"]
+
+_LEAST_OPAQUE = 0.05
+"""Share of a window that has to be known, for it to say anything. Chosen by hand."""
+
+_TINY = 1e-12
+"""Least noise variance, for a contrast of 1, that is divided by: that of `SILENCE`."""
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """How candidates are estimated: what `estimate_candidates` takes, checked, but for the noise.
+
+    Attributes
+    ----------
+    psf : PSFFamily
+    window, stride : int
+        Side N of the analysis window, and the distance between windows, in px.
+    mode : {"curve", "paper"}
+    spectra : {"exact", "fitted"}
+    search : {"lattice", "fixed-point"} or None
+        How maxima are found; None looks for none, the radii are NaN.
+    linearize : {"srgb"} or None
+    intensity_range : (float, float) or None
+        The intensities that count as 0 and 1; None finds them.
+    """
+
+    psf: PSFFamily
+    window: int = MapSettings.window
+    stride: int = MapSettings.stride
+    mode: Mode = MapSettings.mode
+    spectra: Spectra = "exact"
+    search: Search | None = "lattice"
+    linearize: Linearize | None = MapSettings.linearize
+    intensity_range: IntensityRange | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        object.__setattr__(self, "psf", check_windows(self.psf, self.window))
+        check_mode(self.mode)
+        check_stride(self.stride, self.window)
+        check_linearize(self.linearize)
+        if not isinstance(self.spectra, str) or self.spectra not in get_args(Spectra):
+            raise ValueError(f"spectra is {self.spectra!r}; it takes one of {get_args(Spectra)}")
+        if self.search is not None:
+            check_search(self.search)
+
+    def prepared(self, image: ArrayLike, intensities: Intensities | None = None) -> PreparedImage:
+        """Return a picture as spectra see it; of a tile, with the intensities of its plane."""
+        return prepare_image(image, intensities or self.intensity_range, self.linearize)
+
+    def candidates(
+        self,
+        picture: PreparedImage,
+        noise_variance: float | ShotNoise | None,
+        progress: Progress = silent,
+    ) -> BlurCandidates:
+        """Return the candidates of a prepared picture, whose noise is given or found."""
+        progress("Measuring the noise", 0.0)
+        if noise_variance is None:
+            noise_variance = noise_variance_of(picture)
+        if isinstance(noise_variance, ShotNoise):
+            mean = mean_shot_noise(picture, noise_variance)
+            return candidates_of(picture, self, mean, noise_variance, progress)
+        return candidates_of(picture, self, float(noise_variance), None, progress)
+
+
+def candidates_of(
+    picture: PreparedImage,
+    how: Estimation,
+    noise_variance: float,
+    shot_noise: ShotNoise | None = None,
+    progress: Progress = silent,
+) -> BlurCandidates:
+    """Return the candidates of a prepared picture: Gabor powers, likelihood curves, their maxima.
+
+    `noise_variance` is the mean over the whole picture if there is `shot_noise`.
+    """
+    psf, window, stride, mode = how.psf, how.window, how.stride, how.mode
+    gradient = gradients(picture.evened, picture.opaque, window)
+    grid = AnalysisGrid.over(picture.shape, window, stride)
+    fractions = grid.rows[0] % 1, grid.columns[0] % 1
+    table = spectrum_table(psf, window, *fractions, how.spectra, mixed=mode == "curve")
+    opaque = _opaque_share(picture, grid, gradient.pad, window)
+    noisier = None
+    if shot_noise is not None:
+        least = _TINY * picture.intensities.unit**2
+        relative = shot_noise.variance_at(picture.luminance) / max(noise_variance, least)
+        noisier = grid.mean_over_windows(relative, gradient.pad, window)
+    scales = label_scales(psf)
+    shape = (len(grid.row_of_window), len(grid.column_of_window))
+    radii = np.empty((*shape, CANDIDATES), np.float32)
+    log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
+    curve = np.empty((*shape, len(scales)), np.float32)
+    least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
+    for block in grid.blocks():
+        progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
+        power = local_power(gradient, grid.rows[block], grid.columns, window)
+        if opaque is not None:
+            power /= np.maximum(opaque[block], _LEAST_OPAQUE)[..., None, None]
+        if noisier is not None:
+            power /= np.maximum(noisier[block], _TINY)[..., None, None]
+        points = power.reshape(-1, *table.noise.shape)
+        if mode == "paper":
+            block_curve = profile_log_likelihood(points, table, scales, least_noise)
+            dispersion = np.ones(points.shape[:2], np.float32)
+        else:
+            block_curve, dispersion = quasi_log_likelihood(points, table, scales, least_noise)
+        if how.search == "lattice":
+            block_radii, block_heights = local_maxima(
+                points, block_curve, table, scales, least_noise, dispersion
+            )
+        elif how.search == "fixed-point":
+            block_radii, block_heights = fixed_point_maxima(points, table, least_noise, dispersion)
+        else:
+            block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
+            block_heights = np.full_like(block_radii, -np.inf)
+        if opaque is not None:
+            _silence_transparent(opaque[block].ravel(), block_radii, block_heights, block_curve)
+        for result, values in (
+            (radii, block_radii),
+            (log_likelihoods, block_heights),
+            (curve, block_curve),
+        ):
+            grid.spread(block, values, result)
+    progress("Estimating blur", 1.0)
+    return BlurCandidates(
+        radii,
+        log_likelihoods,
+        curve,
+        scales,
+        window_centers(picture.shape[0], stride),
+        window_centers(picture.shape[1], stride),
+        picture.shape,
+        psf,
+        noise_variance,
+        window,
+        stride,
+        mode,
+        shot_noise,
+        picture.intensities.above_noise(noise_variance),
+    )
+
+
+def check_search(search: str) -> None:
+    """Check the name of a way to find maxima."""
+    if not isinstance(search, str) or search not in get_args(Search):
+        raise ValueError(f"search is {search!r}; it takes one of {get_args(Search)}")
+
+
+def _opaque_share(
+    picture: PreparedImage, grid: AnalysisGrid, pad: tuple[int, int], window: int
+) -> Float32 | None:
+    """Return the share of each window that is opaque, weighted as power is; None if all is."""
+    if picture.opaque is None:
+        return None
+    return grid.mean_over_windows(picture.opaque, pad, window)
+
+
+def _silence_transparent(
+    opaque: Float32, radii: Float32, log_likelihoods: Float32, curve: Float32
+) -> None:
+    """Let windows speak in proportion to their opaque share, and the transparent ones not."""
+    curve *= opaque[..., None]
+    transparent = opaque < _LEAST_OPAQUE
+    curve[transparent] = 0
+    radii[transparent] = np.nan
+    present = np.isfinite(radii)
+    share = np.broadcast_to(opaque[..., None], radii.shape)
+    log_likelihoods[present] *= share[present]
+    log_likelihoods[~present] = -np.inf

@@ -1,0 +1,115 @@
+"""Blur spectra and noise spectra of the filter bank, (6) and (7), from a family's kernels.
+
+For a point spread function h and a filter t_i of (3),
+
+    sigma_hi^2 = sum_x |(h * t_i)[x]|^2,    sigma_ni^2 = sigma_n^2 sum_x |(grad * t_i)[x]|^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.fft import fft, fft2, next_fast_len
+
+from napari_defocus.likelihood.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
+from napari_defocus.psf.families import PSFFamily, as_family
+
+Float64 = NDArray[np.floating]
+
+TABLE_STEP = 0.02
+"""px between the scales of a table, at most. Chosen by hand."""
+
+
+def check_windows(psf: PSFFamily | Callable[[float], ArrayLike], window: int) -> PSFFamily:
+    """Return the PSF family, after a check of it and of the windows' side in px."""
+    family = as_family(psf)
+    if not isinstance(window, (int, np.integer)) or window % 2 == 0 or window < MIN_WINDOW:
+        raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
+    if 2 * family.max_scale > window:
+        raise ValueError(
+            f"psf has a largest scale of {family.max_scale} px; "
+            f"a window of {window} px takes at most {window / 2} px"
+        )
+    return family
+
+
+def log_blur_spectra(
+    psf: PSFFamily, scales: Float64, window: int, row_fraction: float, column_fraction: float
+) -> Float64:
+    """Evaluate the logarithm of (6) for every scale: (len(scales), 2, F)."""
+    kernels = [psf.kernel(float(scale)) for scale in scales]
+    largest = max(len(kernel) for kernel in kernels)
+    filters = FilterPower.of_window(window, row_fraction, column_fraction, largest)
+    return np.log(filters.blur_spectra(kernels))
+
+
+@dataclass(frozen=True)
+class FilterPower:
+    """|T_i|^2 of the separable Gabor filters, on an FFT grid that holds filter and kernel.
+
+    Attributes
+    ----------
+    rows, columns : (2, n, M) float64 ndarray
+        The two factors of the filters' power, once for each number of cycles a window that they
+        have along the axis, for the horizontal and the vertical gradient.
+    row_of_filter, column_of_filter : (F,) int ndarray
+        Which of them are each filter's.
+    """
+
+    rows: Float64
+    columns: Float64
+    row_of_filter: NDArray[np.intp]
+    column_of_filter: NDArray[np.intp]
+
+    @classmethod
+    def of_window(
+        cls, window: int, row_fraction: float, column_fraction: float, largest: int
+    ) -> FilterPower:
+        """Transform the filters of a window whose centre lies at these fractions of a px.
+
+        `largest` is the side of the largest kernel, in px.
+        """
+        size = next_fast_len(window + largest)
+        powers: list[Float64] = []
+        of_filter: list[NDArray[np.intp]] = []
+        for fraction, cycles, offsets in zip(
+            (row_fraction, column_fraction),
+            frequencies(window).T,
+            ((0.0, 0.5), (0.5, 0.0)),
+            strict=True,
+        ):
+            distinct, number = np.unique(cycles, return_inverse=True)
+            filters = [axis_filters(window, abs(fraction - offset)) for offset in offsets]
+            powers.append(np.stack([_axis_power(one, distinct, size) for one in filters]))
+            of_filter.append(number)
+        return cls(powers[0], powers[1], of_filter[0], of_filter[1])
+
+    def noise_spectra(self) -> Float64:
+        """Evaluate (7), sum |grad * t_i|^2, for both gradients: (2, F)."""
+        size = self.rows.shape[2]
+        difference = 4 * np.sin(np.pi * np.arange(size) / size) ** 2
+        along = np.stack([np.ones(size), difference])
+        rows = np.einsum("dri,di->dr", self.rows, along)
+        columns = np.einsum("dcj,dj->dc", self.columns, along[::-1])
+        return rows[:, self.row_of_filter] * columns[:, self.column_of_filter] / size**2
+
+    def blur_spectra(self, kernels: Sequence[Float64]) -> Float64:
+        """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (n, 2, F)."""
+        size = self.rows.shape[2]
+        spectra = np.empty((len(kernels), 2, self.rows.shape[1], self.columns.shape[1]))
+        for spectrum, kernel in zip(spectra, kernels, strict=True):
+            power = np.abs(fft2(kernel, (size, size))) ** 2
+            by_row = np.einsum("dri,ij->drj", self.rows, power)
+            spectrum[:] = np.einsum("drj,dcj->drc", by_row, self.columns)
+        return spectra[:, :, self.row_of_filter, self.column_of_filter] / size**2
+
+
+def _axis_power(filters: AxisFilters, cycles: NDArray[np.int64], size: int) -> Float64:
+    """Return |T|^2 of the 1-D complex filter of each (signed) number of cycles a window."""
+    k = np.abs(cycles) // 2
+    sine = np.where(k == 0, 0.0, filters.taps[:, filters.order + np.maximum(k, 1)])
+    wave = filters.taps[:, k] - 1j * np.sign(cycles) * sine
+    return np.abs(fft(wave.T, size)) ** 2

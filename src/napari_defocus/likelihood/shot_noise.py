@@ -1,0 +1,170 @@
+"""Noise whose variance grows with the intensity, as that of counted photons does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from napari_defocus.core.checks import Linearize, check_real
+from napari_defocus.core.image import PreparedImage, prepare_image
+from napari_defocus.likelihood.jpeg_steps import quantization_step
+from napari_defocus.likelihood.noise import (
+    FINE,
+    FINEST,
+    compression_variance,
+    local_variances,
+    noise_floor,
+)
+from napari_defocus.settings import MapSettings
+
+Float64 = NDArray[np.float64]
+
+_INTENSITY_BINS, _FEWEST_PLACES = 12, 100
+"""Ranges of intensity with equally many places, and how many a range has to have. By hand."""
+
+_LEAST_SHARE = 1e-3
+"""Of the picture's noise variance: no range has less. Chosen by hand."""
+
+_EVERY = 7
+"""Of the places, so many: neighbours share most of their surroundings. Chosen by hand."""
+
+
+@dataclass(frozen=True)
+class ShotNoise:
+    r"""Noise whose variance grows with the intensity I, as that of counted photons does.
+
+    .. math:: \sigma_n^2(I) = \sigma_{\text{read}}^2 + \gamma \max(I, 0)
+
+    Parameters
+    ----------
+    read_variance : float
+        :math:`\sigma_{\text{read}}^2`: where the picture is black, intensities in [0, 1].
+    gain : float
+        :math:`\gamma`: growth of the variance from black to white.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If one is no number, negative or not finite, or both are 0.
+
+    Examples
+    --------
+    >>> float(ShotNoise(1e-6, 1e-4).variance_at(np.array(0.5)))
+    5.1e-05
+    """
+
+    read_variance: float
+    gain: float
+
+    def __post_init__(self) -> None:
+        for name in ("read_variance", "gain"):
+            value = getattr(self, name)
+            check_real(name, value, "a finite number from 0 up")
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} is {value}; it takes a finite number from 0 up")
+        if self.read_variance == self.gain == 0:
+            raise ValueError("read_variance and gain are both 0; one of them takes more")
+
+    def variance_at(self, intensity: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return the variance at intensities in [0, 1]; darker than black counts as black."""
+        return self.read_variance + self.gain * np.maximum(intensity, 0)
+
+
+def estimate_shot_noise(
+    image: ArrayLike,
+    *,
+    linearize: Linearize | None = MapSettings.linearize,
+    intensity_range: tuple[float, float] | None = None,
+) -> ShotNoise:
+    r"""Find how the variance of the noise in a picture's luminance grows with the intensity.
+
+    The flattest places of each range of intensities, with the mean I, give a variance
+    :math:`v_I`, see `estimate_noise_variance`, to which a line with non-negative coefficients is
+    fitted:
+
+    .. math:: \underset{\sigma_{\text{read}}^2, \, \gamma \, \ge \, 0}{\text{arg min}} \sum_I \left(
+        \frac{\sigma_{\text{read}}^2 + \gamma I}{v_I} - 1\right)^2
+
+    On pictures that show JPEG's blocks it is scaled so that its mean over the picture is
+    `estimate_noise_variance`.
+
+    Parameters
+    ----------
+    image, linearize, intensity_range
+        See `estimate_noise_variance`.
+
+    Returns
+    -------
+    ShotNoise
+        To be given to `estimate_candidates` as `noise_variance`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `estimate_noise_variance`, and if the picture has no noise at all.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_shot_noise, simulate_defocus
+    >>> noisy = simulate_defocus(camera()[:200, :200], np.full((200, 200), 2.0),
+    ...                          noise_variance=1e-4, rng=0)
+    >>> noise = estimate_shot_noise(noisy)
+    >>> bool(0.7e-4 < noise.variance_at(np.array(0.5)) < 1.4e-4)
+    True
+    """
+    return shot_noise_of(prepare_image(image, intensity_range, linearize))
+
+
+def mean_shot_noise(picture: PreparedImage, noise: ShotNoise) -> float:
+    """Return the mean variance over a picture of noise that grows with the intensity."""
+    return float(noise.variance_at(picture.luminance).mean())
+
+
+def shot_noise_of(picture: PreparedImage) -> ShotNoise:
+    """Find the growth of the noise of a prepared picture, see `estimate_shot_noise`."""
+    everywhere = local_variances(picture, FINEST)
+    finest = noise_floor(everywhere[0])
+    level = picture.intensities.level
+    step, compression = quantization_step(picture.luminance, level), 0.0
+    if step is not None:
+        fine = noise_floor(local_variances(picture, FINE)[0])
+        compression = compression_variance(finest, fine, step, level)
+    variance = finest + compression
+    if variance == 0:
+        raise ValueError("image has no noise; its growth with the intensity cannot be found")
+    details, intensity = (values[::_EVERY] for values in everywhere)
+    order = np.array_split(np.argsort(intensity), _INTENSITY_BINS)
+    bins = [places for places in order if len(places) >= _FEWEST_PLACES]
+    if len(bins) < 2:
+        return ShotNoise(variance, 0.0)
+    floor = np.array([noise_floor(details[places]) for places in bins])
+    floor = np.maximum(floor, _LEAST_SHARE * variance)
+    mean = np.array([np.maximum(intensity[places], 0).mean() for places in bins])
+    # Relative errors count: a textured bin is too high by a factor.
+    read, gain = _line(mean / floor, 1 / floor)
+    if compression:
+        scale = variance / (read + gain * np.maximum(picture.luminance, 0).mean())
+        read, gain = scale * read, scale * gain
+    return ShotNoise(float(read), float(gain))
+
+
+def _line(slope: Float64, constant: Float64) -> tuple[float, float]:
+    """Return a and b, none negative, of the least sum of (a constant + b slope - 1)^2.
+
+    The places are few, and the sums in their order: `scipy.optimize.nnls` calls BLAS.
+    """
+    cc, cs, ss = (float(np.sum(one)) for one in (constant**2, constant * slope, slope**2))
+    c, s = float(np.sum(constant)), float(np.sum(slope))
+    determinant = cc * ss - cs * cs
+    if determinant > 0:
+        a, b = (c * ss - s * cs) / determinant, (s * cc - c * cs) / determinant
+        if a >= 0 and b >= 0:
+            return a, b
+    # The least is where one of them is 0: the one that explains more stays.
+    alone = c / cc, max(s, 0.0) / ss if ss > 0 else 0.0
+    return (alone[0], 0.0) if c * alone[0] >= s * alone[1] else (0.0, alone[1])
