@@ -11,7 +11,7 @@ from qtpy.QtCore import QTimer
 from skimage.data import retina
 from skimage.transform import resize
 
-from napari_defocus.core import worker_process as other_process
+from napari_defocus.core import worker_process
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.docks.defocus import DefocusWidget
 
@@ -73,13 +73,13 @@ def waiting(monkeypatch):
     """The threads that wait for another process: the window's must not."""
     threads = set()
     for name in ("answer", "stop"):
-        wait = getattr(other_process._Helper, name)
+        wait = getattr(worker_process._Worker, name)
 
-        def noted(helper, *args, wait=wait):
+        def noted(worker, *args, wait=wait):
             threads.add(threading.current_thread())
-            return wait(helper, *args)
+            return wait(worker, *args)
 
-        monkeypatch.setattr(other_process._Helper, name, noted)
+        monkeypatch.setattr(worker_process._Worker, name, noted)
     return threads
 
 
