@@ -26,12 +26,11 @@ from napari_defocus.likelihood.exact_spectra import check_windows
 from napari_defocus.likelihood.fixed_point import fixed_point_maxima
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
 from napari_defocus.likelihood.maxima import CANDIDATES, local_maxima
-from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise
+from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import MapSettings
 
@@ -97,7 +96,7 @@ class Estimation:
         """Return the candidates of a prepared picture, whose noise is given or found."""
         progress("Measuring the noise", 0.0)
         if noise_variance is None:
-            noise_variance = noise_variance_of(picture)
+            noise_variance = noise_of(picture)
         if isinstance(noise_variance, ShotNoise):
             mean = mean_shot_noise(picture, noise_variance)
             return candidates_of(picture, self, mean, noise_variance, progress)

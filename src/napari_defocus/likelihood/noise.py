@@ -119,6 +119,8 @@ class NoiseSample:
     finest, fine : (N,) and (M,) ndarray
         Local variances of its finest details, and of those twice as large, the latter only if
         it was a JPEG.
+    intensity : (N,) ndarray
+        Its mean where each of `finest` was found.
     jpeg_step : float or None
         To which JPEG has rounded slow changes, in levels of 8 bits; None without it.
     luminance : float
@@ -129,6 +131,7 @@ class NoiseSample:
 
     finest: Float64
     fine: Float64
+    intensity: Float64
     jpeg_step: float | None
     luminance: float
     level: float
@@ -138,10 +141,10 @@ class NoiseSample:
         """Look at a prepared picture; of the variances, keep those of every so many pixels."""
         level = picture.intensities.level
         step = quantization_step(picture.luminance, level)
-        finest = local_variances(picture, FINEST)[0][::every]
+        finest, intensity = (values[::every] for values in local_variances(picture, FINEST))
         fine = np.empty(0) if step is None else local_variances(picture, FINE)[0][::every]
         bright = float(np.maximum(picture.luminance, 0).mean())
-        return cls(finest, fine, step, bright, level)
+        return cls(finest, fine, intensity, step, bright, level)
 
 
 def noise_variance_of_samples(samples: list[NoiseSample]) -> float:

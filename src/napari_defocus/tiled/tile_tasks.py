@@ -19,10 +19,13 @@ from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.estimation import Estimation, candidates_of
 from napari_defocus.likelihood.noise import (
     NoiseSample,
-    noise_variance_of,
-    noise_variance_of_samples,
 )
-from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise
+from napari_defocus.likelihood.shot_noise import (
+    ShotNoise,
+    mean_shot_noise,
+    noise_of,
+    noise_of_samples,
+)
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.tiled.tiles import Tile, blended
 
@@ -74,7 +77,10 @@ class Noise:
             return self.known, shot_noise
         if shot_noise is not None:
             return mean_shot_noise(picture, shot_noise), shot_noise
-        return noise_variance_of(picture), None
+        found = noise_of(picture)
+        if isinstance(found, ShotNoise):
+            return mean_shot_noise(picture, found), found
+        return found, None
 
     @classmethod
     def of_samples(
@@ -84,12 +90,12 @@ class Noise:
         samples: list[NoiseSample],
     ) -> Noise:
         """Find the mean variance of a plane from pieces of it; none are needed if it is given."""
-        if isinstance(given, ShotNoise):
-            mean = float(np.mean([sample.luminance for sample in samples]))
-            variance = float(given.variance_at(np.array(mean)))
+        noise = noise_of_samples(samples) if given is None else given
+        if isinstance(noise, ShotNoise):
+            variance = float(np.mean([noise.variance_at(one.intensity).mean() for one in samples]))
         else:
-            variance = noise_variance_of_samples(samples) if given is None else float(given)
-        return cls(given, variance, intensities.above_noise(variance))
+            variance = float(noise)
+        return cls(noise, variance, intensities.above_noise(variance))
 
 
 def candidates_of_tile(pixels: NDArray[Any], noise: Noise, how: Estimation) -> BlurCandidates:
@@ -185,8 +191,9 @@ def look_at_noise(
 def noise_with_variance(pixels: NDArray[Any], how: Preparing, noise: Noise) -> Noise:
     """Return the noise of a plane that is one tile, with its variance and its intensities."""
     picture = how.prepared(pixels, noise.intensities)
-    variance = noise.of(picture)[0]
-    return Noise(noise.given, variance, picture.intensities.above_noise(variance))
+    variance, shot_noise = noise.of(picture)
+    intensities = picture.intensities.above_noise(variance)
+    return Noise(shot_noise or noise.given, variance, intensities)
 
 
 def coarse_pass(
