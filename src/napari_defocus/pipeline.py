@@ -140,6 +140,7 @@ def measure_candidates(
         stride=settings.stride,
         mode=settings.mode,
         linearize=settings.linearize,
+        camera_softness=settings.camera_softness,
         intensity_range=intensity_range,
         axes=axes,
         block_size=block_size,

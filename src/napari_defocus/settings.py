@@ -18,6 +18,7 @@ from napari_defocus.core.checks import (
     check_noise_variance,
     check_risk,
     check_side,
+    check_softness,
     check_threshold,
     check_tv_weight,
     check_weights,
@@ -73,6 +74,9 @@ class MapSettings:
         quasi-likelihood, and its whole curve as data term of (14).
     linearize : {"srgb"} or None
         Estimate on intensities decoded into linear light, in which blur is a convolution.
+    camera_softness : float
+        Standard deviation, in px, of the blur that the camera has of its own: optics, diffraction,
+        pixels, demosaicking. The map is the defocus beyond it.
     shot_noise : bool
         Whether the noise grows with the intensity; how, is found from the picture.
     """
@@ -86,6 +90,7 @@ class MapSettings:
     color_sigma: float = 0.1
     mode: Mode = "curve"
     linearize: Linearize | None = None
+    camera_softness: float = 0.35
     shot_noise: bool = False
 
     def __post_init__(self) -> None:
@@ -94,6 +99,7 @@ class MapSettings:
         check_weights(self.smoothness, self.color_sigma)
         check_mode(self.mode)
         check_linearize(self.linearize)
+        check_softness(self.camera_softness)
         check_whole("window", self.window)
         check_whole("stride", self.stride)
         check_flag("shot_noise", self.shot_noise)

@@ -179,7 +179,7 @@ def test_labels_of_a_real_blur_map_are_within_a_thousandth_of_the_optimum(
     request, defocused, ramp, texture, minimize
 ):
     picture = defocused(request.getfixturevalue(texture), ramp)
-    candidates = estimate_candidates(picture)
+    candidates = estimate_candidates(picture, camera_softness=0)
     blocks = Blocks.around(
         candidates.row_centers, candidates.column_centers, candidates.image_shape
     )

@@ -61,6 +61,7 @@ def estimate_candidates(
     spectra: Spectra = "exact",
     search: Search = "lattice",
     linearize: Linearize | None = MapSettings.linearize,
+    camera_softness: float = MapSettings.camera_softness,
     intensity_range: tuple[float, float] | None = None,
     axes: str | None = None,
     channel_axis: int | None = None,
@@ -102,6 +103,10 @@ def estimate_candidates(
     search : {"lattice", "fixed-point"}, optional
         How the local maxima are found: among all scales of the curve, then by Newton steps; or
         as in the paper, by the fixed point (11) and (13) from whole px, much slower.
+    camera_softness : float, optional
+        Standard deviation, in px, of the blur that the camera has of its own: optics, diffraction,
+        pixels, demosaicking. Scales are the defocus beyond it; 0 is as sharp as the camera can be.
+        Not used in the mode "paper".
     linearize : {"srgb"}, optional
         Decode the intensities into linear light first. Blur is linear in radiance; pictures
         for displays are not.
@@ -155,7 +160,9 @@ def estimate_candidates(
     if not isinstance(noise_variance, ShotNoise):
         check_noise_variance(noise_variance)
     check_search(search)
-    how = Estimation(psf, window, stride, mode, spectra, search, linearize, intensity_range)
+    how = Estimation(
+        psf, window, stride, mode, spectra, search, linearize, intensity_range, camera_softness
+    )
     check_block_size(block_size)
     image, roles = arranged_image(image, said_axes(image, axes, channel_axis))
     if roles:

@@ -28,6 +28,7 @@ class EstimationOptions(TypedDict, total=False):
     stride: int
     mode: Mode
     linearize: Linearize | None
+    camera_softness: float
     intensity_range: tuple[float, float] | None
     block_size: int
     progress: Progress

@@ -66,6 +66,7 @@ def estimate_blur_map(
     window: int = MapSettings.window,
     stride: int = MapSettings.stride,
     linearize: Linearize | None = MapSettings.linearize,
+    camera_softness: float = MapSettings.camera_softness,
     smoothness: float = MapSettings.smoothness,
     color_sigma: float = MapSettings.color_sigma,
     mode: Mode = MapSettings.mode,
@@ -88,7 +89,7 @@ def estimate_blur_map(
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
         Any real dtype, in any range: k * image + b has the same map. NaN, masked and fully
         transparent pixels are not known. A stack if `axes` says so.
-    psf, noise_variance, window, stride, linearize, mode
+    psf, noise_variance, window, stride, linearize, camera_softness, mode
         See `estimate_candidates`.
     smoothness, color_sigma
         See `label_blur_map`.
@@ -134,6 +135,7 @@ def estimate_blur_map(
         stride=stride,
         mode=mode,
         linearize=linearize,
+        camera_softness=camera_softness,
         intensity_range=intensity_range,
         axes=axes,
         block_size=block_size,

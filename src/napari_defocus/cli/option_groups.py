@@ -42,6 +42,7 @@ class EvidenceOptions(OptionGroup):
     stride: int = MapSettings.stride
     mode: Mode = MapSettings.mode
     linearize: Linearize | None = MapSettings.linearize
+    camera_softness: float = MapSettings.camera_softness
     intensity_range: tuple[float, float] | None = None
 
     def settings(self) -> MapSettings:

@@ -78,8 +78,11 @@ noise_variance NUMBER
     Variance of the noise in the luminance, intensities from 0 to 1. Found from the picture if
     left out.
 shot_noise
-    The noise grows with the intensity, as that of counted photons; how much, is found from the
-    picture.
+    The noise grows with the intensity, as that of counted photons, even where the picture does not
+    plainly say so; how much, is found from it.
+camera_softness PX
+    Standard deviation of the blur that the camera has of its own, in px; radii are the defocus
+    beyond it.
 max_radius PX
     Largest blur radius that is looked for, in px. A Gaussian is looked for up to a standard
     deviation of half of it, as a disc of that radius has.

@@ -12,6 +12,9 @@ Spectra = Literal["exact", "fitted"]
 Linearize = Literal["srgb"]
 Side = Literal["far", "near"]
 
+LARGEST_SOFTNESS = 5.0
+"""px; a camera that is softer than that resolves nothing of a window."""
+
 LEAST_BLOCK_SIZE = 256
 """px; smaller tiles see more of their neighbours than of themselves."""
 
@@ -85,6 +88,13 @@ def check_block_size(block_size: Any) -> None:
         raise ValueError(
             f"block_size is {block_size}; it takes a whole number of px from {LEAST_BLOCK_SIZE} up"
         )
+
+
+def check_softness(softness: float) -> None:
+    """Check the standard deviation of a camera's own blur, in px."""
+    check_real("camera_softness", softness, "a number of px from 0 to 5")
+    if not 0 <= softness <= LARGEST_SOFTNESS:
+        raise ValueError(f"camera_softness is {softness}; it takes a number of px from 0 to 5")
 
 
 def check_stride(stride: Any, window: int) -> None:

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 
 from napari_defocus.core.image import given_array
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.labeling.data_term import averaged_curve, informed_share
+from napari_defocus.labeling.data_term import averaged_curve, informed_share, log_prior
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.settings import RestorationSettings
@@ -77,6 +77,7 @@ def _safe_at_windows(
     candidates: BlurCandidates, curve: Float32, radius: Float64, sure: Float64, risk: float
 ) -> Float64:
     """Return the smallest radius that the true one is below with a probability of at most risk."""
+    curve = curve + log_prior(candidates)
     likelihood = np.exp(_TEMPER * (curve - curve.max(axis=2, keepdims=True)))
     away = candidates.scales - radius[..., None]
     likelihood *= np.abs(away) > TOLERANCE + _ROUNDING
@@ -111,9 +112,9 @@ def likelihood_share(
     depth : ndarray
         Of the averaged curve, from its top to its bottom, at most 15.
     """
-    top = curve.max(axis=2, keepdims=True)
-    likelihood = curve - top
-    depth = -likelihood.min(axis=2)
+    depth = np.ptp(curve, axis=2)
+    likelihood = curve + log_prior(candidates)
+    likelihood -= likelihood.max(axis=2, keepdims=True)
     likelihood *= np.float32(_TEMPER)
     np.exp(likelihood, out=likelihood)
     away = candidates.scales.astype(np.float32) - radius[..., None]

@@ -26,6 +26,7 @@ from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.psf.families import radius_per_scale
 
 Float32 = NDArray[np.float32]
 
@@ -50,6 +51,10 @@ _LEAST_ENERGY = 1e-12
 
 _DEPTH = np.float32(15)
 """Of a curve, in log-likelihood: what lies deeper counts as much. Chosen on ramps and bumps."""
+
+_PRIOR_RATE = 0.25
+"""1 / px. Of 0 to 0.5, on photographs with measured radii, plain shapes and simulations
+(docs/decisions.md)."""
 
 _NEIGHBORHOOD = 8.0
 """Standard deviation, in px, of the Gaussian that averages curves: they tell where texture is."""
@@ -163,11 +168,23 @@ def _shifts(candidates: BlurCandidates, picture: PreparedImage) -> Float32:
 def limited_depth(candidates: BlurCandidates) -> Float32:
     """Return how far each scale lies below the best, at most 15, as far as it counts: (R, C, L).
 
-    The whole curve keeps what a broad or shallow maximum says. A window that stands for n
-    places along the border is not n windows; it is weighted by 1 / sqrt(n).
+    The whole curve keeps what a broad or shallow maximum says, and has the prior of the radius. A
+    window that stands for n places along the border is not n of them; its weight is 1 / sqrt(n).
     """
     weight = evidence_share(candidates) / np.sqrt(candidates.places_of_window())
-    return _limited(candidates.curve, weight.astype(np.float32), _DEPTH)
+    posterior = candidates.curve + log_prior(candidates)
+    return _limited(posterior, weight.astype(np.float32), _DEPTH)
+
+
+def log_prior(candidates: BlurCandidates) -> Float32:
+    """Return the logarithm of the prior of each scale, exp(-0.25 r), r in px: (L,).
+
+    Plain things with sharp edges and nothing inside put their power into few frequencies, and fit
+    a wide blur nearly as well as their own: half of their windows have the maximum at the largest
+    radius, the true one a few units below. Texture decides by more than the prior says.
+    """
+    rate = _PRIOR_RATE * radius_per_scale(candidates.psf)
+    return (-rate * candidates.scales).astype(np.float32)
 
 
 def _limited(curve: Float32, weight: Float32, depth: np.float32) -> Float32:

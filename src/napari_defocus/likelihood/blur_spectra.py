@@ -88,6 +88,7 @@ def spectrum_table(
     column_fraction: float,
     spectra: Spectra,
     mixed: bool = False,
+    softness: float = 0.0,
 ) -> SpectrumTable:
     """Tabulate the spectra of a PSF family for windows of one kind.
 
@@ -102,15 +103,21 @@ def spectrum_table(
         (6) evaluated at every scale of the table, or the fit (12).
     mixed : bool
         Whether windows hold more than one scale, see `mixed_spectra`.
+    softness : float
+        Standard deviation, in px, of the camera's own blur, a Gaussian behind every PSF. With the
+        fit (12), each spectrum falls as that of a point does.
     """
     of_windows = (window, row_fraction, column_fraction)
     count = int(np.ceil(psf.max_scale / TABLE_STEP - 1e-6))
     scales = np.linspace(0, psf.max_scale, count + 1)
-    log_blur = (
-        CubicSpline(scales, log_blur_spectra(psf, scales, *of_windows))
-        if spectra == "exact"
-        else fit_spectra(psf, *of_windows)
-    )
+    if spectra == "exact":
+        log_blur = CubicSpline(scales, log_blur_spectra(psf, scales, *of_windows, softness))
+    else:
+        fit = fit_spectra(psf, *of_windows)
+        soft, sharp = (
+            log_blur_spectra(psf, np.zeros(1), *of_windows, one) for one in (softness, 0.0)
+        )
+        log_blur = CubicSpline(scales, fit(scales) + (soft - sharp)) if softness else fit
     if mixed:
         log_blur = CubicSpline(scales, np.log(mixed_spectra(scales, np.exp(log_blur(scales)))))
     value, slope, curvature = np.exp(log_blur(scales)), log_blur(scales, 1), log_blur(scales, 2)

@@ -14,6 +14,7 @@ from napari_defocus.core.checks import (
     Spectra,
     check_linearize,
     check_mode,
+    check_softness,
     check_stride,
 )
 from napari_defocus.core.image import PreparedImage, prepare_image
@@ -61,6 +62,9 @@ class Estimation:
     linearize : {"srgb"} or None
     intensity_range : (float, float) or None
         The intensities that count as 0 and 1; None finds them.
+    camera_softness : float
+        Standard deviation, in px, of the blur that the camera has of its own; not in the mode
+        "paper".
     """
 
     psf: PSFFamily
@@ -71,6 +75,7 @@ class Estimation:
     search: Search | None = "lattice"
     linearize: Linearize | None = MapSettings.linearize
     intensity_range: IntensityRange | None = None
+    camera_softness: float = MapSettings.camera_softness
 
     def __post_init__(self) -> None:
         """Refuse impossible values before any work is done with them."""
@@ -78,6 +83,7 @@ class Estimation:
         check_mode(self.mode)
         check_stride(self.stride, self.window)
         check_linearize(self.linearize)
+        check_softness(self.camera_softness)
         if not isinstance(self.spectra, str) or self.spectra not in get_args(Spectra):
             raise ValueError(f"spectra is {self.spectra!r}; it takes one of {get_args(Spectra)}")
         if self.search is not None:
@@ -118,7 +124,9 @@ def candidates_of(
     gradient = gradients(picture.evened, picture.opaque, window)
     grid = AnalysisGrid.over(picture.shape, window, stride)
     fractions = grid.rows[0] % 1, grid.columns[0] % 1
-    table = spectrum_table(psf, window, *fractions, how.spectra, mixed=mode == "curve")
+    plain = mode == "paper"
+    softness = 0.0 if plain else how.camera_softness
+    table = spectrum_table(psf, window, *fractions, how.spectra, not plain, softness)
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = None
     if shot_noise is not None:
@@ -139,7 +147,7 @@ def candidates_of(
         if noisier is not None:
             power /= np.maximum(noisier[block], _TINY)[..., None, None]
         points = power.reshape(-1, *table.noise.shape)
-        if mode == "paper":
+        if plain:
             block_curve = profile_log_likelihood(points, table, scales, least_noise)
             dispersion = np.ones(points.shape[:2], np.float32)
         else:

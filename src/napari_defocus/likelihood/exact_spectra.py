@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fft, fft2, next_fast_len
+from scipy.fft import fft, fft2, fftfreq, next_fast_len
 
 from napari_defocus.likelihood.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
 from napari_defocus.psf.families import PSFFamily, as_family
@@ -37,13 +37,21 @@ def check_windows(psf: PSFFamily | Callable[[float], ArrayLike], window: int) ->
 
 
 def log_blur_spectra(
-    psf: PSFFamily, scales: Float64, window: int, row_fraction: float, column_fraction: float
+    psf: PSFFamily,
+    scales: Float64,
+    window: int,
+    row_fraction: float,
+    column_fraction: float,
+    softness: float = 0.0,
 ) -> Float64:
-    """Evaluate the logarithm of (6) for every scale: (len(scales), 2, F)."""
+    """Evaluate the logarithm of (6) for every scale: (len(scales), 2, F).
+
+    `softness` is the standard deviation, in px, of a Gaussian that blurs every kernel.
+    """
     kernels = [psf.kernel(float(scale)) for scale in scales]
     largest = max(len(kernel) for kernel in kernels)
     filters = FilterPower.of_window(window, row_fraction, column_fraction, largest)
-    return np.log(filters.blur_spectra(kernels))
+    return np.log(filters.blur_spectra(kernels, softness))
 
 
 @dataclass(frozen=True)
@@ -96,12 +104,17 @@ class FilterPower:
         columns = np.einsum("dcj,dj->dc", self.columns, along[::-1])
         return rows[:, self.row_of_filter] * columns[:, self.column_of_filter] / size**2
 
-    def blur_spectra(self, kernels: Sequence[Float64]) -> Float64:
-        """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (n, 2, F)."""
+    def blur_spectra(self, kernels: Sequence[Float64], softness: float = 0.0) -> Float64:
+        """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (n, 2, F).
+
+        h is a kernel behind a Gaussian of the standard deviation `softness`, in px.
+        """
         size = self.rows.shape[2]
+        along = np.exp(-((softness * 2 * np.pi * fftfreq(size)) ** 2))
+        gaussian = np.outer(along, along)
         spectra = np.empty((len(kernels), 2, self.rows.shape[1], self.columns.shape[1]))
         for spectrum, kernel in zip(spectra, kernels, strict=True):
-            power = np.abs(fft2(kernel, (size, size))) ** 2
+            power = np.abs(fft2(kernel, (size, size))) ** 2 * gaussian
             by_row = np.einsum("dri,ij->drj", self.rows, power)
             spectrum[:] = np.einsum("drj,dcj->drc", by_row, self.columns)
         return spectra[:, :, self.row_of_filter, self.column_of_filter] / size**2

@@ -100,7 +100,8 @@ class DefocusWidget(DefocusPanel):
             MORE,
             "What few people need",
             [
-                *(settings.noise_variance, settings.shot_noise, settings.linear_light),
+                *(settings.noise_variance, settings.shot_noise),
+                *(settings.camera_softness, settings.linear_light),
                 *(self.live, self.keep_earlier),
                 *(self.tools.load_settings, self.tools.save_settings),
             ],

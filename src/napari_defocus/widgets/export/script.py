@@ -209,7 +209,7 @@ def _analysis(work: Analysis) -> Iterator[str]:
 
 def _candidates(settings: MapSettings) -> Iterator[str]:
     light = _unusual(settings, "linearize")
-    keywords = _unusual(settings, "noise_variance", "window", "stride", "mode")
+    keywords = _unusual(settings, "noise_variance", "window", "stride", "mode", "camera_softness")
     if settings.shot_noise:
         yield _call("noise", "estimate_shot_noise", "image", **light)
         keywords["noise_variance"] = "noise"

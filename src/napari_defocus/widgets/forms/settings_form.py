@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from magicgui.widgets import CheckBox, FloatSpinBox, LineEdit, PushButton, Widget
 
+from napari_defocus.core.checks import LARGEST_SOFTNESS
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.forms.lens_form import LensForm
 from napari_defocus.widgets.forms.slider_field import SliderField
@@ -40,7 +41,7 @@ class SettingsForm:
     Attributes
     ----------
     lens : LensForm
-    max_radius, noise_variance, shot_noise, linear_light : magicgui widgets
+    max_radius, noise_variance, shot_noise, camera_softness, linear_light : magicgui widgets
         What the radii are estimated with.
     map_smoothness, map_color_sigma : magicgui widgets
         What the blur map is labelled with.
@@ -60,6 +61,7 @@ class SettingsForm:
         self.max_radius = _max_radius_field()
         self.noise_variance = _noise_variance_field()
         self.shot_noise = _shot_noise_field()
+        self.camera_softness = _camera_softness_field()
         self.linear_light = _linear_light_field()
         self.map_smoothness = _smoothness_field("map", "radius", MapSettings.smoothness)
         self.map_color_sigma = _color_sigma_field("map", "radius", MapSettings.color_sigma)
@@ -93,7 +95,8 @@ class SettingsForm:
 
     def more_fields(self) -> list[Widget]:
         """Return the fields that few people need."""
-        fields: list[Widget] = [self.noise_variance, self.shot_noise, self.linear_light]
+        fields: list[Widget] = [self.noise_variance, self.shot_noise]
+        fields += [self.camera_softness, self.linear_light]
         if self._blur_map:
             fields += [self.map_smoothness, self.map_color_sigma]
         if self._mask:
@@ -156,6 +159,7 @@ class SettingsForm:
             max_radius=self.max_radius.value,
             noise_variance=None if self.shot_noise.value else self.given_noise_variance(),
             shot_noise=self.shot_noise.value,
+            camera_softness=self.camera_softness.value,
             linearize="srgb" if self.linear_light.value else None,
             smoothness=self.map_smoothness.value,
             color_sigma=self.map_color_sigma.value,
@@ -172,6 +176,7 @@ class SettingsForm:
         known = estimation.noise_variance
         self.noise_variance.value = "" if known is None else f"{known:g}"
         self.shot_noise.value = estimation.shot_noise
+        self.camera_softness.value = estimation.camera_softness
         self.linear_light.value = estimation.linearize == "srgb"
         self.map_smoothness.value = estimation.smoothness
         self.map_color_sigma.value = estimation.color_sigma
@@ -239,8 +244,22 @@ def _shot_noise_field() -> CheckBox:
         name="shot_noise",
         text="noise grows with intensity",
         value=MapSettings.shot_noise,
-        tooltip="For pictures from few photons, such as raw or microscope pictures: bright "
-        "places have more noise than dark ones. How much is found from the picture.",
+        tooltip="For pictures from few photons: bright places have more noise than dark ones. "
+        "Raw and microscope pictures mostly say so themselves; this is for those that do not.",
+    )
+
+
+def _camera_softness_field() -> FloatSpinBox:
+    return FloatSpinBox(
+        name="camera_softness",
+        label="camera softness (px)",
+        value=MapSettings.camera_softness,
+        min=0.0,
+        max=LARGEST_SOFTNESS,
+        step=0.05,
+        tooltip="How blurred the camera itself is, as the standard deviation of a Gaussian: "
+        "optics, pixels, demosaicking. Radii are the defocus beyond it. Raise it if what is in "
+        "focus reads 1 to 2 px; microscopes with small pixels have 0.6 to 1.3 px.",
     )
 
 

@@ -218,7 +218,13 @@ def _candidates_key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:
     """Return all that candidates depend on."""
     return (
         *(*picture.key, settings.noise_variance, settings.shot_noise, settings.family()),
-        *(settings.window, settings.stride, settings.mode, settings.linearize),
+        *(
+            settings.window,
+            settings.stride,
+            settings.mode,
+            settings.linearize,
+            settings.camera_softness,
+        ),
     )
 
 
