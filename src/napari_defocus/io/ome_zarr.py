@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.io.lazy_arrays import block_side, lazy_array
-from napari_defocus.io.pictures import UnreadablePicture, reading_failure
+from napari_defocus.io.pictures import reading
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -96,11 +96,8 @@ def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
     ('yx', 0.25, 'micrometer', {'settings': {'window': 41}})
     """
     need_large_extra()
-    try:
+    with reading(path):
         return _picture(Path(path).absolute())
-    # Zarr and damaged metadata raise anything.
-    except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
 
 
 def _picture(path: Path) -> OmeZarrPicture:
@@ -137,7 +134,7 @@ def _opened(path: Path) -> Any:
         raise ValueError("there is no such folder")
     if not path.is_dir():
         raise ValueError("it is no folder, as OME-Zarr stores are")
-    if any((path / name).is_file() for name in (".zarray",)) or _is_array(path):
+    if (path / ".zarray").is_file() or _is_array(path):
         raise ValueError("it is one level of a picture; give the folder that it is in")
     try:
         return zarr.open_group(path, mode="r")
@@ -223,12 +220,8 @@ class StoredArray:
 
     def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
         """Read a region; UnreadablePicture if a chunk of it is damaged."""
-        # Codecs raise anything.
-        try:
+        with reading(self.path):
             return np.asarray(self.array[region])
-        except Exception as error:
-            reason = reading_failure(error)
-            raise UnreadablePicture(f"cannot read {self.path}: {reason}") from error
 
 
 def _lazy(array: Any, letters: str, path: Path) -> da.Array:

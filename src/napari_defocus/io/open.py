@@ -17,11 +17,11 @@ from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
 from napari_defocus.io.picture_files import find_sources, naturally
 from napari_defocus.io.pictures import (
-    TIFF_STARTS,
     UnreadablePicture,
+    is_tiff,
     picture_form,
     read_picture,
-    reading_failure,
+    reading,
 )
 from napari_defocus.io.provenance import SHARPEST_PIXELS, mark_of
 from napari_defocus.io.tiff_reader import open_tiff
@@ -164,24 +164,13 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         if not is_zarr(path):
             raise UnreadablePicture(f"cannot read {path}: it is a folder, and no OME-Zarr store")
         return _zarr_source(path)
-    if not _is_tiff(path):
+    with reading(path):
+        if is_tiff(path):
+            data, axes, (pixel_size, units) = open_tiff(path)
+            return Source(path, data, axes, pixel_size, units)
         reader = _Photograph(path.absolute(), *picture_form(path))
         axes = "yxs"[: len(reader.shape)]
         return Source(path, lazy_array(reader, reader.shape), axes, {}, {})
-    # Damaged TIFFs raise whatever their bytes led the decoder into.
-    try:
-        data, axes, (pixel_size, units) = open_tiff(path)
-    except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
-    return Source(path, data, axes, pixel_size, units)
-
-
-def _is_tiff(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(4).startswith(TIFF_STARTS)
-    except OSError as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
 
 
 def _zarr_source(path: Path) -> Source:
