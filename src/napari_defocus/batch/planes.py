@@ -30,7 +30,7 @@ from napari_defocus.io.encoders import (
 )
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.io.open import Source, open_source
-from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE
+from napari_defocus.io.provenance import ALL_IN_FOCUS, signature
 from napari_defocus.io.settings_file import Settings
 from napari_defocus.pipeline import Measurement, measure_map, restore, segment, used
 from napari_defocus.restoration.all_in_focus import Restoration
@@ -113,8 +113,7 @@ class BatchPlan:
             shaping |= facts["mask" if kind == "mask" else "restoration"]
             shaping["noise_variance"] = facts["map"]["noise_variance"]
         shaping |= {name: facts[name] for name in ("intensity_range", "block_size")}
-        version = {"software": SOFTWARE, "version": napari_defocus.__version__}
-        return about | version | {"settings": shaping}
+        return about | signature() | {"settings": shaping}
 
 
 @dataclass(frozen=True)

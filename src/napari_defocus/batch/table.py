@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.settings import CONFIDENT
 
 Row = dict[str, Any]
@@ -41,9 +42,6 @@ COLUMNS = (
     *("pixel_width_um", "pixel_height_um"),
     *RESULTS,
 )
-
-_UM = {"angstrom": 1e-4, "nanometer": 1e-3, "micrometer": 1.0, "millimeter": 1e3}
-_UM |= {"centimeter": 1e4, "inch": 25_400.0, "meter": 1e6}
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,9 +163,9 @@ def _percentile(counts: NDArray[np.int64], percent: float, step: float) -> float
 def source_facts(source: str, pixel_size: Mapping[str, float], units: Mapping[str, str]) -> Row:
     """Return what a row says of where its picture is from."""
     sizes = {
-        name: pixel_size[axis] * _UM[units[axis]]
+        name: pixel_size[axis] * MICROMETERS[units[axis]]
         for axis, name in (("x", "pixel_width_um"), ("y", "pixel_height_um"))
-        if axis in pixel_size and units.get(axis) in _UM
+        if axis in pixel_size and units.get(axis) in MICROMETERS
     }
     return {"source": source, **sizes}
 

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-import napari_defocus
 from napari_defocus.core.image import prepare_image, shown_colors
-from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE, marked_png, said_by
+from napari_defocus.io.provenance import ALL_IN_FOCUS, marked_png, said_by, signature
 from napari_defocus.psf.families import Disc
 from napari_defocus.settings import MapSettings
 
@@ -157,8 +156,7 @@ def _tiff(
     array = np.asarray(values, np.float32)
     description = {
         **what,
-        "software": SOFTWARE,
-        "version": napari_defocus.__version__,
+        **signature(),
         "settings": dict(settings),
         "shape": array.shape,
         **(made or {}),
@@ -171,7 +169,7 @@ def _tiff(
         extrasamples=["unassalpha"] if color and array.shape[2:] == (4,) else None,
         compression="zlib",
         description=json.dumps(description, default=_plain),
-        software=f"{SOFTWARE} {napari_defocus.__version__}",
+        software=" ".join(signature().values()),
         metadata=None,
         **_resolution(pixel_size),
     )

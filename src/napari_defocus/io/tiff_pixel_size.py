@@ -6,30 +6,28 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from typing import Any
 
-UNIT_OF_SYMBOL = {
-    "å": "angstrom",
-    "nm": "nanometer",
-    "um": "micrometer",
-    "micron": "micrometer",
-    "microns": "micrometer",
-    "micrometer": "micrometer",
-    "mm": "millimeter",
-    "cm": "centimeter",
-    "m": "meter",
-    "meter": "meter",
-    "inch": "inch",
-    "in": "inch",
-    "us": "microsecond",
-    "ms": "millisecond",
-    "msec": "millisecond",
-    "s": "second",
-    "sec": "second",
-    "min": "minute",
-    "h": "hour",
-    "hr": "hour",
-    "d": "day",
+SYMBOLS_OF_UNIT = {
+    "angstrom": ("Å",),
+    "nanometer": ("nm",),
+    "micrometer": ("µm", "micron", "microns", "micrometer"),
+    "millimeter": ("mm",),
+    "centimeter": ("cm",),
+    "meter": ("m", "meter"),
+    "inch": ("in", "inch"),
+    "microsecond": ("µs",),
+    "millisecond": ("ms", "msec"),
+    "second": ("s", "sec"),
+    "minute": ("min",),
+    "hour": ("h", "hr"),
+    "day": ("d",),
 }
-"""Units as OME-XML and ImageJ write them, in the spelling of UDUNITS that OME-Zarr takes."""
+"""How OME-XML, and then others, write units, which are in the spelling of UDUNITS and OME-Zarr."""
+
+MICROMETERS = {
+    **{"angstrom": 1e-4, "nanometer": 1e-3, "micrometer": 1.0, "millimeter": 1e3},
+    **{"centimeter": 1e4, "inch": 25_400.0, "meter": 1e6},
+}
+"""Of units of length."""
 
 _CENTIMETERS = 3
 _ESCAPED_MICRO = "\\u00B5"
@@ -45,8 +43,13 @@ def unit_of(symbol: str) -> str | None:
     >>> unit_of("µm"), unit_of("sec"), unit_of("pixel")
     ('micrometer', 'second', None)
     """
-    plain = symbol.replace(_ESCAPED_MICRO, "u").strip().lower()
-    return UNIT_OF_SYMBOL.get(plain.replace("\u00b5", "u").replace("\u03bc", "u"))
+    plain = _plain(symbol.replace(_ESCAPED_MICRO, "u").strip())
+    spelt = ((unit, map(_plain, known)) for unit, known in SYMBOLS_OF_UNIT.items())
+    return next((unit for unit, symbols in spelt if plain in symbols), None)
+
+
+def _plain(symbol: str) -> str:
+    return symbol.lower().replace("\u00b5", "u").replace("\u03bc", "u")
 
 
 def pixel_size_in_tiff(tiff: Any, series: int = 0) -> PixelSize:
