@@ -19,7 +19,6 @@ from napari_defocus.batch.cluster import Job, in_this_process, outcomes
 from napari_defocus.batch.folder import BatchFolder
 from napari_defocus.batch.planes import (
     BatchPlan,
-    FinishTask,
     PlaneTask,
     failed,
     finish,
@@ -454,7 +453,7 @@ class _Batch:
                 self._ended(work, next((each for each in errors if each is not None), None))
 
         for target in targets:
-            self.came_up.append(Job.call(finish, FinishTask(target, work.planes), ended))
+            self.came_up.append(Job.call(finish, target, ended))
         if not targets:
             self._ended(work, None)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -28,7 +27,7 @@ from napari_defocus.io.encoders import (
     picture_png,
     with_opacity,
 )
-from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.io.ome_zarr_writer import OmeZarrWriter, Region, aside
 from napari_defocus.io.open import Source, open_source
 from napari_defocus.io.provenance import ALL_IN_FOCUS, signature
 from napari_defocus.io.settings_file import Settings
@@ -137,6 +136,13 @@ class Target:
     store: Path | None = None
     writer: OmeZarrWriter | None = None
 
+    def has(self, region: Region) -> bool:
+        """Return whether the result of a plane, or of a part of it, is there."""
+        if self.store is None:
+            return self.path.exists()
+        # Without a writer, the store is whole.
+        return self.writer is None or self.writer.has_region((*region, ...))
+
 
 @dataclass(frozen=True, eq=False)
 class PlaneTask:
@@ -166,14 +172,6 @@ class PlaneTask:
     row_path: Path
     plan: BatchPlan
     stack: Path | None = None
-
-
-@dataclass(frozen=True)
-class FinishTask:
-    """A result of a source, of which every plane was tried."""
-
-    target: Target
-    planes: tuple[Index, ...]
 
 
 def look_at(path: Path) -> Source | str:
@@ -279,12 +277,8 @@ def _write(
         if target.writer is None:
             contents[target.path] = _encoded(target.kind, made, found, picture, task.plan)
         else:
-            target.writer.write_region(_region(target.writer, task.index), made[target.kind])
+            target.writer.write_region((*task.index, ...), made[target.kind])
     write_results(contents, force=True)
-
-
-def _region(writer: OmeZarrWriter, index: Index) -> tuple[slice | int, ...]:
-    return (*index, *(slice(0, size) for size in writer.shape[len(index) :]))
 
 
 def _encoded(
@@ -302,14 +296,6 @@ def _encoded(
     if kind == "confidence":
         return confidence_tiff(made[kind], made_with)
     return mask_png(made[kind]) if kind == "mask" else picture_png(made[kind], picture)
-
-
-def has_plane(target: Target, index: Index) -> bool:
-    """Return whether the result of a plane is there."""
-    if target.store is None:
-        return target.path.exists()
-    # Without a writer, the store is whole.
-    return target.writer is None or target.writer.has_region(_region(target.writer, index))
 
 
 def go_on_from_whole(target: Target) -> None:
@@ -333,46 +319,32 @@ def _copy_unless_there(source: str, target: str) -> None:
         part.replace(target)
 
 
-def finish(task: FinishTask) -> str | None:
-    """Make a result of a source whole; return why that failed, if it did.
+def finish(target: Target) -> str | None:
+    """Make a result of a source whole, now that every plane was tried; return why that failed.
 
     It may have been begun before, and killed anywhere. Planes that could not be measured are
     NaN; in masks, not in focus.
     """
     try:
-        _finish_store(task.target, task.planes)
+        _finish_store(target)
     except Exception as error:
         return reason(error)
     return None
 
 
-def _finish_store(target: Target, planes: tuple[Index, ...]) -> None:
-    writer = target.writer
+def _finish_store(target: Target) -> None:
+    store, writer = target.store, target.writer
     if writer is not None and writer.part.exists():
-        for index in planes:
-            _fill(writer, index)
+        nothing = np.nan if writer.dtype == "float32" else 0
+        for tile in writer.missing():
+            shape = [part.stop - part.start for part in tile]
+            writer.write_region(tile, np.full(shape, nothing, writer.dtype))
         writer.finish()
-    store = target.store
     if store is not None:
         # Killed at its very end, an earlier run may have left what it replaced.
-        shutil.rmtree(store.with_name(f".{store.name}.old"), ignore_errors=True)
-    if store is not None and store != target.path and store.exists():
-        _convert(store, target.path)
-
-
-def _fill(writer: OmeZarrWriter, index: Index) -> None:
-    """Write NaN, or 0 into masks, where a plane was not written."""
-    height, width, *colors = writer.shape[len(index) :]
-    nothing = np.nan if writer.dtype == "float32" else 0
-    for top, left in product(range(0, height, writer.tile), range(0, width, writer.tile)):
-        tile = (
-            slice(top, min(top + writer.tile, height)),
-            slice(left, min(left + writer.tile, width)),
-            *(slice(0, count) for count in colors),
-        )
-        if not writer.has_region((*index, *tile)):
-            shape = [part.stop - part.start for part in tile]
-            writer.write_region((*index, *tile), np.full(shape, nothing, writer.dtype))
+        shutil.rmtree(aside(store), ignore_errors=True)
+        if store != target.path and store.exists():
+            _convert(store, target.path)
 
 
 def _convert(store: Path, path: Path) -> None:

@@ -27,12 +27,11 @@ from napari_defocus.batch.planes import (
     discard,
     failed,
     go_on_from_whole,
-    has_plane,
     reason,
 )
 from napari_defocus.batch.table import DONE, Row, source_facts
 from napari_defocus.core.intensity import needs_limits
-from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr, part_of
 from napari_defocus.io.open import Source
 
 FileFormat = Literal["auto", "tiff", "ome-zarr"]
@@ -256,7 +255,7 @@ def begin(
         rows={
             index: as_named(each, row)
             for index, row in rows.items()
-            if all(has_plane(target, index) for target in targets)
+            if all(target.has(index) for target in targets)
         },
         plane_px=height * width,
         plan=plan,
@@ -289,8 +288,7 @@ def _with_writer(target: Target, source: Source, plan: BatchPlan, *, complete: b
     store = target.store
     if store is None:
         return target
-    begun = store.with_name(f".{store.name}.part").exists()
-    if complete and store.exists() and not begun:
+    if complete and store.exists() and not part_of(store).exists():
         return target
     axes = f"{source.plane_axes}yx"
     shape = source.data.shape[: len(axes)]
@@ -320,7 +318,7 @@ def _remove_results(folder: BatchFolder, name: str) -> None:
         for suffix in {".tif", ".ome.tif", kind.suffix}:
             _ending_in(place, suffix).unlink(missing_ok=True)
         store = _ending_in(place, ".ome.zarr")
-        for path in (store, store.with_name(f".{store.name}.part")):
+        for path in (store, part_of(store)):
             shutil.rmtree(path, ignore_errors=True)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -17,7 +17,7 @@ from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
 from napari_defocus.batch.table import DONE, PixelCounts, Row, count_pixels
 from napari_defocus.core.progress import silent
-from napari_defocus.io.ome_zarr_writer import TILE
+from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
 
 Region = tuple[slice, slice]
@@ -69,7 +69,7 @@ class TiledPlane:
         self.task, self._plane = task, task.plane
         self.error: str | None = None
         self._parts = [
-            self._part(region) for region in _regions(task.plane.shape[:2], plan.block_size)
+            self._part(region) for region in whole_tiles(task.plane.shape[:2], plan.block_size)
         ]
         known = [(tile, _finished(tile)) for tile in self._parts]
         self._left = [tile for tile, note in known if note is None]
@@ -144,36 +144,16 @@ class TiledPlane:
         return found, lazy.noise(())
 
 
-def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:
-    """Yield tiles as large as those that are measured, in whole tiles of the stores."""
-    height, width = shape
-    side = TILE * max(1, block_size // TILE)
-    for top in range(0, height, side):
-        for left in range(0, width, side):
-            yield slice(top, min(top + side, height)), slice(left, min(left + side, width))
-
-
 def _px(region: Region) -> int:
     return math.prod(tile.stop - tile.start for tile in region)
 
 
 def _finished(tile: _TileTask) -> TileNote | None:
     known = read_note(tile.note)
-    if known is None or not all(_has(target, tile) for target in tile.targets):
+    if known is None or not all(t.has((*tile.index, *tile.region)) for t in tile.targets):
         return None
     counts = PixelCounts.of_note(known["counts"])
     return TileNote(_px(tile.region), counts, known["noise_variance"], known["intensities"])
-
-
-def _has(target: Target, tile: _TileTask) -> bool:
-    # Without a writer, the store is whole.
-    return target.writer is None or target.writer.has_region(_place(tile, target))
-
-
-def _place(tile: _TileTask, target: Target) -> tuple[slice | int, ...]:
-    assert target.writer is not None
-    colors = target.writer.shape[len(tile.index) + 2 :]
-    return (*tile.index, *tile.region, *(slice(0, count) for count in colors))
 
 
 def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileNote:
@@ -190,7 +170,7 @@ def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileN
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in tile.targets:
         assert target.writer is not None
-        target.writer.write_region(_place(tile, target), made[target.kind])
+        target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
     intensities = noise.intensities.facts()
     note = TileNote(_px(tile.region), counts, float(noise.known), intensities)
     noted = {"noise_variance": note.noise_variance, "intensities": intensities}

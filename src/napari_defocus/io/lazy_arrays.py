@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Iterator
+from itertools import product
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -111,6 +113,20 @@ class Carried:
 
 def _arrived(pickled: bytes, buffers: list[Any]) -> Carried:
     return Carried(pickle.loads(pickled, buffers=buffers))
+
+
+def regions(shape: tuple[int, ...], sides: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Yield the parts that make up an array, so long along each axis but at its end.
+
+    Examples
+    --------
+    >>> [(rows.stop, columns.start) for rows, columns in regions((2, 7), (5, 4))]
+    [(2, 0), (2, 4)]
+    """
+    starts = (range(0, size, side) for size, side in zip(shape, sides, strict=True))
+    for corner in product(*starts):
+        bounds = zip(corner, sides, shape, strict=True)
+        yield tuple(slice(at, min(at + side, size)) for at, side, size in bounds)
 
 
 def block_side(tile: int, size: int) -> int:

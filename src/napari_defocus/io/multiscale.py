@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from napari_defocus.io.lazy_arrays import regions
 
 SMALLEST_LEVEL = 512
 """px: the pyramid ends where no side is longer."""
@@ -41,10 +42,7 @@ def halve_into(fine: Any, coarse: Any, piece: tuple[int, ...], *, labels: bool =
     labels : bool
         As in `halved`.
     """
-    starts = [range(0, size, side) for size, side in zip(coarse.shape, piece, strict=True)]
-    for corner in product(*starts):
-        bounds = zip(corner, piece, coarse.shape, strict=True)
-        target = tuple(slice(at, min(at + side, size)) for at, side, size in bounds)
+    for target in regions(coarse.shape, piece):
         rows, columns = (slice(2 * part.start, 2 * part.stop) for part in target[-2:])
         coarse[target] = halved(fine[(*target[:-2], rows, columns)], labels=labels)
 
