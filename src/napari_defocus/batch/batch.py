@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -49,7 +49,7 @@ from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.progress import Cancelled, Progress, duration, silent
 from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
 from napari_defocus.io.open import Source
-from napari_defocus.io.picture_files import PictureFiles, look_for_pictures
+from napari_defocus.io.picture_files import Inputs, PictureFiles, as_paths, look_for_pictures
 from napari_defocus.io.settings_file import Settings
 from napari_defocus.settings import BLOCK_SIZE
 
@@ -84,7 +84,7 @@ class BatchReport:
 
 
 def measure_batch(
-    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    inputs: Inputs,
     output: str | os.PathLike[str],
     *,
     settings: Settings | None = None,
@@ -225,19 +225,10 @@ def _checked(plan: BatchPlan) -> BatchPlan:
     return replace(plan, settings=settings)
 
 
-def _sources(
-    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str], folder: BatchFolder
-) -> PictureFiles:
+def _sources(inputs: Inputs, folder: BatchFolder) -> PictureFiles:
     """Return the sources, without the results of an earlier run that a pattern finds."""
-    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
-    if not isinstance(given, Iterable):
-        raise TypeError(f"inputs is {type(inputs).__name__}; it takes paths")
-    given = list(given)
+    given, results = as_paths(inputs), folder.results.resolve()
     for one in given:
-        if not isinstance(one, str | os.PathLike):
-            raise TypeError(f"inputs holds a {type(one).__name__}; it takes paths")
-    results = folder.results.resolve()
-    for one in map(Path, given):
         if results in (one.resolve(), *one.resolve().parents):
             raise UnwritableResult(f"cannot write {one}: it is a result and an input")
     looked = look_for_pictures(given, besides=folder.path)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import napari_defocus
 from napari_defocus.batch.folder import Facts, read_note, write_note
-from napari_defocus.batch.table import DONE, FAILED, Row, count_pixels
+from napari_defocus.batch.table import DONE, FAILED, PixelCounts, Row, count_pixels
 from napari_defocus.core.intensity import Limits
 from napari_defocus.core.progress import silent
 from napari_defocus.core.writing import write_results
@@ -25,6 +25,7 @@ from napari_defocus.io.encoders import (
     confidence_tiff,
     mask_png,
     picture_png,
+    said_of_map,
     with_opacity,
 )
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter, Region, aside
@@ -63,18 +64,9 @@ KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class BatchPlan:
-    """What is made of every plane.
+    """What is made of every plane: `kinds` of `KINDS`, "map" among them.
 
-    Attributes
-    ----------
-    settings : Settings
-    kinds : tuple of str
-        Of `KINDS`, "map" among them.
-    min_confidence : float
-        Below it, the map is NaN.
-    intensity_range : (float, float) or None
-    block_size : int
-        Side, in px, of the parts of large planes.
+    Below `min_confidence`, the map is NaN. Large planes have parts of `block_size` px a side.
     """
 
     settings: Settings
@@ -82,6 +74,24 @@ class BatchPlan:
     min_confidence: float
     intensity_range: tuple[float, float] | None
     block_size: int = BLOCK_SIZE
+
+    def restoration(self, noise_variance: float | None) -> Restoration:
+        """Return how planes are restored."""
+        of_map, tv_weight = self.settings.map, self.settings.restoration.tv_weight
+        psf, linearize = of_map.family(), of_map.linearize
+        return Restoration(psf, noise_variance, tv_weight, linearize, self.intensity_range)
+
+    def counts(
+        self, blur_map: NDArray[Any], confidence: NDArray[Any], mask: NDArray[Any] | None
+    ) -> PixelCounts:
+        """Return what the table needs of a plane, or of a part of it."""
+        return count_pixels(
+            blur_map,
+            confidence,
+            mask,
+            threshold=self.settings.mask.threshold,
+            max_scale=self.settings.map.family().max_scale,
+        )
 
     def facts(self) -> Facts:
         """Return what shapes the results, as JSON holds it."""
@@ -101,11 +111,9 @@ class BatchPlan:
 
     def description(self, kind: str) -> Facts:
         """Return what a store of a kind says of itself."""
-        scale_name = self.settings.map.family().scale_name
         about: Facts = {"quantity": KINDS[kind].quantity, "unit": KINDS[kind].unit}
         if kind == "map":
-            about["quantity"] += f" {scale_name.removesuffix(' (px)')}"
-            about["scale"] = scale_name
+            about = said_of_map(self.settings.map.family().scale_name)
         facts = self.facts()
         shaping = facts["map"] | {"min_confidence": self.min_confidence}
         if kind in ("mask", "in_focus"):
@@ -117,18 +125,11 @@ class BatchPlan:
 
 @dataclass(frozen=True)
 class Target:
-    """Where a result goes.
+    """Where a result goes: `path`, when it is whole.
 
-    Attributes
-    ----------
-    kind : str
-    path : Path
-        Of the result when it is whole.
-    store : Path or None
-        A store that planes are written into, one after another: `path` itself, or one that
-        becomes the file at `path` at the end. None if a plane is a file.
-    writer : OmeZarrWriter or None
-        For the store, unless that is whole already.
+    `store` is what planes are written into, one after another: `path` itself, or a store that
+    becomes the file at `path` at the end; None if a plane is a file. `writer` writes it, unless
+    it is whole already.
     """
 
     kind: str
@@ -146,22 +147,10 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class PlaneTask:
-    """A plane to be measured.
+    """A plane to be measured, (H, W[, 3 or 4]), not yet read.
 
-    Attributes
-    ----------
-    plane : dask.array.Array
-        (H, W[, 3 or 4]), not yet read.
-    index : tuple of int
-    known : dict
-        What its row says whether it fails or not.
-    results : dict of str to str
-        What its row says of where results are.
-    targets : tuple of Target
-    row_path : Path
-    plan : BatchPlan
-    stack : Path or None
-        The source, if its restored planes share a range that is found from all of them.
+    `known` is what its row says whether it fails or not, `results` what it says of where results
+    are; `stack` is the source if restored planes share a range that is found from all of them.
     """
 
     plane: da.Array
@@ -232,10 +221,7 @@ def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDA
         limits = _stack_limits(task)
     elif noise is None:
         noise = found.noise_variance
-    how = Restoration(
-        found.psf, noise, settings.tv_weight, plan.settings.map.linearize, plan.intensity_range
-    )
-    safe = found.cautious(settings.risk)
+    safe, how = found.cautious(settings.risk), plan.restoration(noise)
     return restore(picture, safe, found.confidence, how, limits=limits)
 
 
@@ -257,13 +243,7 @@ def _stack_limits(task: PlaneTask) -> Limits:
 
 def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Row:
     assert found.confidence is not None
-    counts = count_pixels(
-        found.blur_map,
-        found.confidence,
-        mask,
-        threshold=plan.settings.mask.threshold,
-        max_scale=found.psf.max_scale,
-    )
+    counts = plan.counts(found.blur_map, found.confidence, mask)
     noise = found.noise_variance
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
     return facts | ({} if found.intensities is None else found.intensities.facts())

@@ -45,20 +45,10 @@ LARGEST_AT_ONCE = 4_000_000
 
 @dataclass(frozen=True)
 class BatchInput:
-    """A source by its path.
+    """A source by its path, as it was `given`, and by what the names of its results begin with.
 
-    Attributes
-    ----------
-    given : Path
-        As it was named.
-    name : str
-        What the names of its results begin with.
-    facts : dict
-        What it is, and what it is to be measured with.
-    unchanged : bool
-        Whether an earlier run has begun it, and nothing of that has changed.
-    change : str
-        How the source has changed since; "" if it has not, or is new.
+    `facts` say what it is, and what it is to be measured with. It is `unchanged` if an earlier run
+    has begun it, and nothing of that has changed; `change` says how the source has, else "".
     """
 
     given: Path
@@ -76,13 +66,9 @@ def compared_inputs(sources: list[Path], folder: BatchFolder, made_with: Facts) 
         facts = identity(given) | {"settings": digest}
         before = folder.of_source(name).begun_with()
         # What other settings change, the plan of the batch tells.
-        same_settings = facts if before is None else before | {"settings": digest}
-        change = f"of {given}, {differences(same_settings, facts)}"
-        inputs.append(
-            BatchInput(
-                given, name, facts, before == facts, "" if same_settings == facts else change
-            )
-        )
+        changes = differences((before or facts) | {"settings": digest}, facts)
+        change = changes and f"of {given}, {changes}"
+        inputs.append(BatchInput(given, name, facts, before == facts, change))
     return inputs
 
 
@@ -122,22 +108,9 @@ def plane_size(source: Source) -> tuple[int, int]:
 
 @dataclass(eq=False)
 class SourceWork:
-    """A source at work.
+    """A source at work: all of its planes, and `rows` of those that are finished or were tried.
 
-    Attributes
-    ----------
-    input : BatchInput
-    notes : SourceNotes
-    known : dict
-        What the rows of all planes say.
-    planes : tuple of index
-        All of them, in order.
-    labels : dict of index to str
-    targets : tuple of Target
-    rows : dict of index to row
-        Of planes that are finished, or were tried.
-    plane_px : int
-    plan : BatchPlan
+    `known` is what the rows of all planes say.
     """
 
     input: BatchInput

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 from itertools import groupby
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
-from napari_defocus.batch.table import DONE, PixelCounts, Row, count_pixels
+from napari_defocus.batch.table import DONE, PixelCounts, Row
 from napari_defocus.core.progress import silent
 from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
@@ -49,17 +51,9 @@ class _TileTask:
 
 
 class TiledPlane:
-    """A large plane, of which tiles are worked on one by one.
+    """A large plane, of which tiles are worked on one by one; all of its targets have stores.
 
-    Parameters
-    ----------
-    task : PlaneTask
-        All of its targets have stores.
-
-    Raises
-    ------
-    TooLarge
-        If something is wanted that is not made of tiles.
+    TooLarge is raised if something is wanted that is not made of tiles.
     """
 
     def __init__(self, task: PlaneTask) -> None:
@@ -96,7 +90,7 @@ class TiledPlane:
         known = self.task.known
         if self.error is not None:
             return failed(known, self.error)
-        counts = sum((note.counts for note in self.notes), PixelCounts.none())
+        counts = reduce(add, (note.counts for note in self.notes))
         first = self.notes[0]
         noise = {"noise_variance": first.noise_variance} | dict(first.intensities)
         row = known | {"status": DONE} | counts.facts() | noise
@@ -130,15 +124,12 @@ class TiledPlane:
         found = lazy.measure(asked)
         if restoration is not None:
             noise = restoration.noise_variance
+            how = plan.restoration(settings.noise_variance if noise is None else noise)
             found["in_focus"] = napari_defocus.restore_all_in_focus(
                 plane,
                 found.pop("cautious"),
-                psf=settings.family(),
-                noise_variance=settings.noise_variance if noise is None else noise,
+                **vars(how),
                 confidence=found["confidence"],
-                tv_weight=restoration.tv_weight,
-                linearize=settings.linearize,
-                intensity_range=limits,
                 block_size=block_size,
             )
         return found, lazy.noise(())
@@ -159,13 +150,7 @@ def _finished(tile: _TileTask) -> TileNote | None:
 def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileNote:
     """Write what was found of a tile, note that it is finished, and return the note."""
     plan, confidence = tile.plan, found["confidence"]
-    counts = count_pixels(
-        found["blur_map"],
-        confidence,
-        found.get("mask"),
-        threshold=plan.settings.mask.threshold,
-        max_scale=plan.settings.map.family().max_scale,
-    )
+    counts = plan.counts(found["blur_map"], confidence, found.get("mask"))
     untrusted = confidence < plan.min_confidence
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in tile.targets:

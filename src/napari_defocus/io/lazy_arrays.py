@@ -64,19 +64,9 @@ def _covering(key: Any, size: int) -> tuple[slice, Any]:
 
 
 def lazy_array(reader: RegionReader, blocks: tuple[int, ...]) -> da.Array:
-    """Return a dask array whose blocks are read when they are computed.
+    """Return a dask array whose blocks, so long along each axis, are read when they are computed.
 
-    Parameters
-    ----------
-    reader : RegionReader
-        Reads one region; only what is asked for is read.
-    blocks : tuple of int
-        Length of a block along each axis.
-
-    Returns
-    -------
-    dask.array.Array
-        Of the reader's shape and dtype.
+    Of a block, only what is asked for is read.
     """
     import dask.array as da
 
@@ -89,14 +79,7 @@ def lazy_array(reader: RegionReader, blocks: tuple[int, ...]) -> da.Array:
 class Carried:
     """A lazy array that can be sent to another process, whatever functions read its blocks.
 
-    Parameters
-    ----------
-    array : dask.array.Array or other array
-        `pickle` alone refuses functions without a name, such as those that many readers use.
-
-    Attributes
-    ----------
-    array : array
+    `pickle` alone refuses functions without a name, such as those that many readers use.
     """
 
     def __init__(self, array: Any) -> None:

@@ -31,16 +31,9 @@ def level_shapes(shape: tuple[int, ...], row_axis: int) -> list[tuple[int, ...]]
 
 
 def halve_into(fine: Any, coarse: Any, piece: tuple[int, ...], *, labels: bool = False) -> None:
-    """Fill the next level of a pyramid, a piece at a time; rows and columns are the last axes.
+    """Fill the next level of a pyramid, (..., ceil(H / 2), ceil(W / 2)), a piece at a time.
 
-    Parameters
-    ----------
-    fine, coarse : array-like that is read, and written, by slices
-        (..., H, W) and (..., ceil(H / 2), ceil(W / 2)), such as arrays of Zarr.
-    piece : tuple of int
-        Lengths of what is written at a time; four times as many pixels are read.
-    labels : bool
-        As in `halved`.
+    Levels are read and written by slices, such as arrays of Zarr; `labels` are as in `halved`.
     """
     for target in regions(coarse.shape, piece):
         rows, columns = (slice(2 * part.start, 2 * part.stop) for part in target[-2:])

@@ -67,21 +67,10 @@ def description(
     labels: bool,
     rgb_of: np.dtype[Any] | None = None,
 ) -> dict[str, Any]:
-    """Return what stands under the key "ome" of a store.
+    """Return what stands under the key "ome" of a store, for axes as `new_ome_zarr` takes them.
 
-    Parameters
-    ----------
-    axes : str
-        As given to `new_ome_zarr`.
-    pixel_size, units : mapping
-    name : str
-        Of the picture.
-    levels : int
-        How many there are, each half as high and wide as the one before.
-    labels : bool
-        Whether the values are names or a mask.
-    rgb_of : numpy.dtype, optional
-        Of the values, if they are red, green and blue.
+    Each of the levels is half as high and wide as the one before. `labels` are names or a mask;
+    `rgb_of` is the dtype of values that are red, green and blue.
     """
     about: dict[str, Any] = {
         "version": VERSION,

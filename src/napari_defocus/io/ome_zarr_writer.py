@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import shutil
@@ -28,6 +27,7 @@ from napari_defocus.io.ome_zarr_metadata import (
     stored_names,
     stored_order,
 )
+from napari_defocus.io.provenance import plain_json
 
 TILE = 512
 """px of a chunk's side."""
@@ -234,7 +234,7 @@ def new_ome_zarr(
     """
     need_large_extra()
     target = Path(path).absolute()
-    about = _checked_attributes(attributes)
+    about = plain_json("attributes", attributes)
     kind = np.dtype(dtype)
     check_form(shape, kind, axes, tile)
     check_named_axes("pixel_size", pixel_size, axes)
@@ -280,14 +280,6 @@ def write_region(
 def _array(group: Any, name: str) -> Any:
     # Chunks that hold nothing but zeros are files, too: a file says that a region was written.
     return group[name].with_config({"write_empty_chunks": True})
-
-
-def _checked_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    try:
-        about: dict[str, Any] = json.loads(json.dumps(dict(attributes)))
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"attributes takes what JSON can hold: {error}") from error
-    return about
 
 
 def _check_target(path: Path, force: bool) -> None:

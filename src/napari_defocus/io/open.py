@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
-from napari_defocus.io.picture_files import find_sources, naturally
+from napari_defocus.io.picture_files import Inputs, as_paths, find_sources, naturally
 from napari_defocus.io.pictures import (
     UnreadablePicture,
     is_tiff,
@@ -85,22 +86,18 @@ class Source:
         IndexError
             If there is no such plane.
         """
-        if len(index) != len(self.plane_axes):
-            raise IndexError(f"index is {index}; the planes of {self.path} are {self._extent()}")
-        for at, size in zip(index, self.plane_shape, strict=True):
-            if not 0 <= at < size:
-                raise IndexError(
-                    f"index is {index}; the planes of {self.path} are {self._extent()}"
-                )
+        sizes = dict(zip(self.plane_axes, self.plane_shape, strict=True))
+        within = map(operator.contains, map(range, sizes.values()), index)
+        if len(index) != len(sizes) or not all(within):
+            extent = ", ".join(f"{axis} 0 to {size - 1}" for axis, size in sizes.items())
+            raise IndexError(
+                f"index is {index}; the planes of {self.path} are {extent or '() alone'}"
+            )
         return self.data[index]
 
     def label_of(self, index: tuple[int, ...]) -> str:
         """Return a plane's index in words, such as "t=3 z=12"; "" for a single picture."""
         return " ".join(f"{a}={at}" for a, at in zip(self.plane_axes, index, strict=True))
-
-    def _extent(self) -> str:
-        sizes = zip(self.plane_axes, self.plane_shape, strict=True)
-        return ", ".join(f"{axis} 0 to {size - 1}" for axis, size in sizes) or "() alone"
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +186,7 @@ def _zarr_source(path: Path) -> Source:
 # Pictures that are planes of one stack.
 
 
-def open_stack(inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str]) -> Source:
+def open_stack(inputs: Inputs) -> Source:
     """Open a stack: one file, or pictures of one plane that are its planes; no pixels are read.
 
     Parameters
@@ -223,7 +220,7 @@ def open_stack(inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str]
     ('zyx', [1, 2, 10])
     """
     need_large_extra()
-    given = [Path(one) for one in ([inputs] if isinstance(inputs, str | os.PathLike) else inputs)]
+    given = as_paths(inputs)
     files = sorted(find_sources(given), key=naturally)
     if len(given) == 1 and files == given:
         return open_source(given[0])

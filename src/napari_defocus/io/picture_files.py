@@ -30,17 +30,16 @@ _TOLD = {
 _WILD = re.compile(r"[*?\[]")
 
 
+Inputs = Iterable[str | os.PathLike[str]] | str | os.PathLike[str]
+"""Files, folders and patterns, as `find_sources` takes them, or one of them."""
+
+
 @dataclass(frozen=True, eq=False)
 class PictureFiles:
-    """What files, folders and patterns name.
+    """What files, folders and patterns name: pictures, each once, in their order.
 
-    Attributes
-    ----------
-    pictures : list of Path
-        Each once, in their order.
-    left_out : dict of str to int
-        How many others there are, by their endings; `FOLDER` and `RESULT` for folders that are
-        not looked into, and for what this package made.
+    It is counted how many others there are, by their endings; `FOLDER` and `RESULT` for folders
+    that are not looked into, and for what this package made.
     """
 
     pictures: list[Path]
@@ -49,10 +48,7 @@ class PictureFiles:
 
 @dataclass(eq=False)
 class _Search:
-    """A search, and what it left out.
-
-    Whatever is in the folder `besides` is neither found nor counted.
-    """
+    """A search, and what it left out; of what is in the folder `besides`, nothing is counted."""
 
     besides: Path | None
     others: dict[Path, str] = field(default_factory=dict)
@@ -79,29 +75,27 @@ class _Search:
         return dict(sorted(counted.items(), key=lambda item: (-item[1], item[0])))
 
 
-def look_for_pictures(
-    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
-    besides: Path | None = None,
-) -> PictureFiles:
+def as_paths(inputs: Inputs) -> list[Path]:
+    """Return what is given as paths; TypeError if it is none."""
+    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    if not isinstance(given, Iterable):
+        raise TypeError(f"inputs is {type(inputs).__name__}; it takes paths")
+    given = list(given)
+    for one in given:
+        if not isinstance(one, str | os.PathLike):
+            raise TypeError(f"inputs holds a {type(one).__name__}; it takes paths")
+    return [Path(one) for one in given]
+
+
+def look_for_pictures(inputs: Inputs, besides: Path | None = None) -> PictureFiles:
     """Return the pictures that files, folders and patterns name, and what is left out.
 
-    Parameters
-    ----------
-    inputs : path-like, or iterable of path-like
-        As `find_sources` takes them.
-    besides : Path, optional
-        A folder, such as that of results, of which nothing is told.
-
-    Raises
-    ------
-    UnreadablePicture
-        As `find_sources`.
+    Nothing is told of what is in the folder `besides`, such as that of results.
     """
-    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     search = _Search(None if besides is None else besides.resolve())
     found: dict[Path, Path] = {}
-    for one in given:
-        for path in _named_by(Path(one), search):
+    for one in as_paths(inputs):
+        for path in _named_by(one, search):
             found.setdefault(path.resolve(), path)
     return PictureFiles(list(found.values()), search.counts(found))
 

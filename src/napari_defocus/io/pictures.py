@@ -105,22 +105,9 @@ def told_choice_in(path: str | os.PathLike[str]) -> str:
 
 
 def picture_form(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return the shape and dtype that `read_picture` gives; of PNG alone, pixels are decoded.
+    """Return the shape and dtype that `read_picture` gives, but of no TIFF.
 
-    Parameters
-    ----------
-    path : Path
-        As `read_picture` takes it, but no TIFF.
-
-    Returns
-    -------
-    shape : tuple of int
-    dtype : numpy.dtype
-
-    Raises
-    ------
-    UnreadablePicture
-        As `read_picture`; damage in the pixels may be found only when they are read.
+    Pixels are decoded of PNG with 16 bits alone: damage may be found only when they are read.
     """
     with reading(path):
         if _is_deep_png(path):

@@ -6,6 +6,7 @@ import json
 import os
 import xml.etree.ElementTree as ElementTree
 import zlib
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -31,17 +32,10 @@ def signature() -> dict[str, str]:
 
 
 def mark_of(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what a file or a store says of itself if this package made it; else nothing.
+    """Return what any file or folder says of itself if this package made it; else nothing.
 
-    Parameters
-    ----------
-    path : path-like
-        Any file or folder. No pixels are read.
-
-    Returns
-    -------
-    dict
-        Among others `quantity`, what it holds, such as "defocus blur radius".
+    That is, among others, the `quantity` that it holds, such as "defocus blur radius". No pixels
+    are read.
 
     Examples
     --------
@@ -82,6 +76,15 @@ def mark_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
     return {}
 
 
+def plain_json(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is read again of a mapping that is written as JSON; TypeError if it cannot be."""
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(dict(value)))
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} takes what JSON can hold: {error}") from error
+    return plain
+
+
 def said_by(text: str) -> dict[str, Any]:
     """Return what a text of JSON says if this package wrote it; else nothing."""
     with suppress(TypeError, ValueError):
@@ -106,15 +109,7 @@ def _mark_in_store(folder: Path) -> dict[str, Any]:
 
 
 def marked_png(content: bytes, quantity: str) -> bytes:
-    """Return a PNG file that says what it holds, and that this package made it.
-
-    Parameters
-    ----------
-    content : bytes
-        A PNG file.
-    quantity : str
-        What it holds, such as "in-focus mask".
-    """
+    """Return a PNG file that says what it holds, such as "in-focus mask", and what made it."""
     about = {"quantity": quantity, **signature()}
     texts = {"Software": " ".join(signature().values()), "Description": json.dumps(about)}
     after_header = len(PNG_START) + 25

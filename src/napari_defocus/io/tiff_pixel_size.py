@@ -53,23 +53,11 @@ def _plain(symbol: str) -> str:
 
 
 def pixel_size_in_tiff(tiff: Any, series: int = 0) -> PixelSize:
-    """Return the pixel size along the axes that have one, and their units.
+    """Return the pixel size along the axes, y, x, z and t, that have one, and their units.
 
-    OME-XML is asked first, then what LSM says, then ImageJ's description, then the resolution
-    tags. A resolution in dots an inch is the size of a print, and does not count.
-
-    Parameters
-    ----------
-    tiff : tifffile.TiffFile
-    series : int
-        Which picture of an OME-TIFF.
-
-    Returns
-    -------
-    pixel_size : dict of str to float
-        By letter of axis: y, x, z, t.
-    units : dict of str to str
-        Of the same axes.
+    OME-XML is asked first, of the picture of that number, then what LSM says, then ImageJ's
+    description, then the resolution tags. A resolution in dots an inch is the size of a print, and
+    does not count.
     """
     if tiff.ome_metadata:
         return _ome_pixel_size(tiff.ome_metadata, series)

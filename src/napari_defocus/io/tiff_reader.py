@@ -32,21 +32,12 @@ _NO_PAGE = -1
 
 @dataclass(frozen=True, eq=False)
 class TiffPages:
-    """Planes of one form, each a page of a file, of which regions are decoded.
+    """Planes of one form, each a page of a file, of which regions are decoded; colours last.
 
-    Attributes
-    ----------
-    files : tuple of str
-        An OME-TIFF can be spread over several.
-    file_of, offsets : int64 ndarray
-        Of each plane, in the shape of the axes before rows and columns: which file, and where its
-        page is described there; -1 for planes that were not recorded, which are 0.
-    shape, dtype
-        Of all planes, colours last.
-    as_stored : bool
-        Whether palettes are ImageJ's tables of display colours, and do not count.
-    apart : bool
-        Whether the last axis before rows is that of the channels of each page, as in LSM.
+    `file_of` and `offsets`, in the shape of the axes before rows, say which of the files a plane is
+    in, and where its page is described there; -1 for planes that were not recorded, which are 0.
+    Palettes that are ImageJ's tables of display colours do not count: values are `as_stored`. The
+    last axis before rows can be that of channels that lie `apart` in each page, as in LSM.
     """
 
     files: tuple[str, ...]
@@ -99,14 +90,8 @@ def _colors(pixels: NDArray[Any], page: Any, as_stored: bool) -> NDArray[Any]:
 class TiffMemory:
     """Planes that lie in a file as they lie in memory, one after the other, uncompressed.
 
-    Attributes
-    ----------
-    file : str
-    offset : int
-        Bytes before the first pixel.
-    shape : tuple of int
-    stored : str
-        The dtype with its order of bytes, as NumPy writes it.
+    The first pixel is `offset` bytes from the start; `stored` is NumPy's name of the dtype, with
+    its order of bytes.
     """
 
     file: str
@@ -129,23 +114,9 @@ class TiffMemory:
 def open_tiff(path: Path) -> tuple[da.Array, str, PixelSize]:
     """Open the largest level of the picture, or stack, in a TIFF.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    data : dask.array.Array
-        (..., H, W) or (..., H, W, 3 or 4); read when computed.
-    axes : str
-        A letter an axis; s of colours.
-    pixel_size : (dict, dict)
-        As `pixel_size_in_tiff`.
-
-    Raises
-    ------
-    ValueError
-        If it holds several pictures, is cut off, or holds what is no picture.
+    Its data, (..., H, W) or (..., H, W, 3 or 4), are read when they are computed; there is a letter
+    an axis, s of colours, and what `pixel_size_in_tiff` gives. ValueError is raised if the file
+    holds several pictures, is cut off, or holds what is no picture.
     """
     import tifffile
 

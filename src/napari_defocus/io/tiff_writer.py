@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.writing import UnwritableResult, check_results, unused_name
 from napari_defocus.io.multiscale import halved, level_shapes
-from napari_defocus.io.provenance import mark_in_tiff, signature
+from napari_defocus.io.provenance import mark_in_tiff, plain_json, signature
 from napari_defocus.io.tiff_pixel_size import MICROMETERS, SYMBOLS_OF_UNIT
 
 TILE = 512
@@ -94,7 +94,9 @@ def write_pyramidal_tiff(
     ('px', [2, 600, 700])
     """
     _check_axes(tuple(data.shape), np.dtype(data.dtype), axes)
-    about = _checked_description(description, tuple(data.shape), axes)
+    # tifffile reads `axes` again, and takes capitals.
+    form = {**signature(), "shape": tuple(data.shape), "axes": axes.upper()}
+    about = plain_json("description", {**description, **form})
     check_results([Path(path)], force=force)
     target = Path(path).resolve()
     part = unused_name(target.parent)
@@ -132,18 +134,6 @@ def _check_axes(shape: tuple[int, ...], dtype: np.dtype[Any], axes: str) -> None
         raise ValueError(f"data have {shape[-1]} colours; they take 3 or 4")
     if dtype.kind not in "buif":
         raise TypeError(f"data are {dtype}; bool and real numbers are written")
-
-
-def _checked_description(
-    description: Mapping[str, Any], shape: tuple[int, ...], axes: str
-) -> dict[str, Any]:
-    # tifffile reads `axes` again, and takes capitals.
-    about = {**signature(), "shape": shape, "axes": axes.upper()}
-    try:
-        checked: dict[str, Any] = json.loads(json.dumps({**description, **about}))
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"description takes what JSON can hold: {error}") from error
-    return checked
 
 
 class _Levels:

@@ -16,16 +16,9 @@ from napari_defocus.tiled.tile_graph import cut_together
 def store(arrays: dict[str, Any], writers: dict[str, OmeZarrWriter], progress: Progress) -> None:
     """Compute dask arrays tile by tile into stores, and finish these.
 
-    What was written before an interruption is not computed again.
-
-    Parameters
-    ----------
-    arrays : dict of str to dask.array.Array
-        From `LazyCandidates.measure` and the like, all of one shape.
-    writers : dict of str to OmeZarrWriter
-        A new store for each, of its shape; all with tiles of one size.
-    progress : callable
-        An exception from it ends the work; the stores may be gone on with.
+    Arrays are of one shape, such as those of `LazyCandidates.measure`, and stores have tiles of one
+    size. What was written before an interruption, such as an exception from `progress`, is not
+    computed again.
     """
     write = delayed(OmeZarrWriter.write_region, pure=False)
     first, tile = next(iter(arrays.values())), next(iter(writers.values())).tile
