@@ -54,13 +54,11 @@ def _covering(key: Any, size: int) -> tuple[slice, Any]:
     if not isinstance(key, slice):
         start = int(key) % size
         return slice(start, start + 1), 0
-    start, stop, step = key.indices(size)
-    if step > 0:
-        return slice(start, stop), slice(None, None, step)
-    asked = range(start, stop, step)
+    asked = range(*key.indices(size))
     if not asked:
         return slice(0, 0), slice(None)
-    return slice(asked[-1], asked[0] + 1), slice(None, None, step)
+    first, last = sorted((asked[0], asked[-1]))
+    return slice(first, last + 1), slice(None, None, asked.step)
 
 
 def lazy_array(reader: RegionReader, blocks: tuple[int, ...]) -> da.Array:

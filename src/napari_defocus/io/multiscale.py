@@ -56,23 +56,21 @@ def halved(values: NDArray[Any], *, labels: bool = False) -> NDArray[Any]:
            [7, 0]])
     """
     odd = [(0, size % 2) for size in values.shape[-2:]]
-    rows, columns = (np.s_[..., 0::2, :], np.s_[..., 1::2, :]), (np.s_[..., 0::2], np.s_[..., 1::2])
     sides = [(0, 0)] * (values.ndim - 2) + odd
     if labels or values.dtype.kind == "b":
-        padded = np.pad(values, sides, mode="edge")
-        tall = np.maximum(padded[rows[0]], padded[rows[1]])
-        return np.maximum(tall[columns[0]], tall[columns[1]])
+        return _of_four(np.maximum, np.pad(values, sides, mode="edge"))
     if values.dtype.kind != "f":
         padded = np.pad(values, sides, mode="edge").astype(np.float64)
-        return np.rint(_of_four(padded) / 4).astype(values.dtype)
+        return np.rint(_of_four(np.add, padded) / 4).astype(values.dtype)
     padded = np.pad(values, sides, constant_values=np.nan)
     known = ~np.isnan(padded)
-    counts = _of_four(known.astype(np.float32))
-    sums = _of_four(np.where(known, padded, 0).astype(np.promote_types(values.dtype, np.float32)))
+    counts = _of_four(np.add, known.astype(np.float32))
+    exact = np.promote_types(values.dtype, np.float32)
+    sums = _of_four(np.add, np.where(known, padded, 0).astype(exact))
     with np.errstate(invalid="ignore"):
         return (sums / counts).astype(values.dtype)
 
 
-def _of_four(values: NDArray[Any]) -> NDArray[Any]:
-    tall = values[..., 0::2, :] + values[..., 1::2, :]
-    return np.asarray(tall[..., 0::2] + tall[..., 1::2])
+def _of_four(joined: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+    tall = joined(values[..., 0::2, :], values[..., 1::2, :])
+    return np.asarray(joined(tall[..., 0::2], tall[..., 1::2]))

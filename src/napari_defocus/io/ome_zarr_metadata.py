@@ -98,18 +98,12 @@ def _multiscale(
     base = [float(pixel_size.get(letter, 1.0)) for letter in given]
     datasets = []
     for level in range(levels):
-        zooms = [2.0**level if name in "yx" else 1.0 for name in names]
-        datasets.append(
-            Dataset.build(
-                path=str(level),
-                scale=[step * zoom for step, zoom in zip(base, zooms, strict=True)],
-                # The middle of a coarse pixel is between those of the fine ones.
-                translation=[step * (zoom - 1) / 2 for step, zoom in zip(base, zooms, strict=True)],
-            )
-        )
+        scale = [s * 2**level if n in "yx" else s for s, n in zip(base, names, strict=True)]
+        # The middle of a coarse pixel is between those of the fine ones.
+        middle = [(coarse - fine) / 2 for coarse, fine in zip(scale, base, strict=True)]
+        datasets.append(Dataset.build(path=str(level), scale=scale, translation=middle))
     model = Multiscale(axes=described, datasets=tuple(datasets), name=name)
-    plain: dict[str, Any] = model.model_dump(mode="json", exclude_none=True)
-    return plain
+    return dict(model.model_dump(mode="json", exclude_none=True))
 
 
 def _color_channel(number: int, dtype: np.dtype[Any]) -> dict[str, Any]:

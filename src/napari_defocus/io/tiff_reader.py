@@ -206,14 +206,11 @@ def _places(
 
 def _letters(axes: str) -> str:
     """Return a letter an axis, all different, s for colours only if they are beside rows."""
-    letters = ""
     given = axes.lower()
-    for at, axis in enumerate(given):
-        colors = axis == "s" and given[at:] in ("s", "syx")
-        wished = "c" if axis == "s" and not colors else axis
-        free = (a for a in "qponmlkjihgfedbavwur" if a not in letters + given)
-        letters += next(free) if wished in letters else wished
-    return letters
+    if not given.endswith(("s", "syx")):
+        given = given.replace("s", "c")
+    free = (letter for letter in "qponmlkjihgfedbavwur" if letter not in given)
+    return "".join(a if a not in given[:at] else next(free) for at, a in enumerate(given))
 
 
 def _turned(data: da.Array, axes: str, orientation: int) -> da.Array:
