@@ -305,26 +305,22 @@ def finish(target: Target) -> str | None:
     It may have been begun before, and killed anywhere. Planes that could not be measured are
     NaN; in masks, not in focus.
     """
+    store, writer = target.store, target.writer
     try:
-        _finish_store(target)
+        if writer is not None and writer.part.exists():
+            nothing = np.nan if writer.dtype == "float32" else 0
+            for tile in writer.missing():
+                shape = [part.stop - part.start for part in tile]
+                writer.write_region(tile, np.full(shape, nothing, writer.dtype))
+            writer.finish()
+        if store is not None:
+            # Killed at its very end, an earlier run may have left what it replaced.
+            shutil.rmtree(aside(store), ignore_errors=True)
+            if store != target.path and store.exists():
+                _convert(store, target.path)
     except Exception as error:
         return reason(error)
     return None
-
-
-def _finish_store(target: Target) -> None:
-    store, writer = target.store, target.writer
-    if writer is not None and writer.part.exists():
-        nothing = np.nan if writer.dtype == "float32" else 0
-        for tile in writer.missing():
-            shape = [part.stop - part.start for part in tile]
-            writer.write_region(tile, np.full(shape, nothing, writer.dtype))
-        writer.finish()
-    if store is not None:
-        # Killed at its very end, an earlier run may have left what it replaced.
-        shutil.rmtree(aside(store), ignore_errors=True)
-        if store != target.path and store.exists():
-            _convert(store, target.path)
 
 
 def _convert(store: Path, path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 from itertools import groupby
@@ -35,8 +34,7 @@ class TileNote:
 
     px: int
     counts: PixelCounts
-    noise_variance: float
-    intensities: Mapping[str, Any]
+    noise: Row
 
 
 @dataclass(frozen=True)
@@ -91,10 +89,7 @@ class TiledPlane:
         if self.error is not None:
             return failed(known, self.error)
         counts = reduce(add, (note.counts for note in self.notes))
-        first = self.notes[0]
-        noise = {"noise_variance": first.noise_variance} | dict(first.intensities)
-        row = known | {"status": DONE} | counts.facts() | noise
-        row |= self.task.results
+        row = known | {"status": DONE} | counts.facts() | self.notes[0].noise | self.task.results
         write_note(self.task.row_path, row)
         for tile in self._parts:
             tile.note.unlink(missing_ok=True)
@@ -143,8 +138,7 @@ def _finished(tile: _TileTask) -> TileNote | None:
     known = read_note(tile.note)
     if known is None or not all(t.has((*tile.index, *tile.region)) for t in tile.targets):
         return None
-    counts = PixelCounts.of_note(known["counts"])
-    return TileNote(_px(tile.region), counts, known["noise_variance"], known["intensities"])
+    return TileNote(_px(tile.region), PixelCounts.of_note(known["counts"]), known["noise"])
 
 
 def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileNote:
@@ -156,8 +150,6 @@ def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileN
     for target in tile.targets:
         assert target.writer is not None
         target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
-    intensities = noise.intensities.facts()
-    note = TileNote(_px(tile.region), counts, float(noise.known), intensities)
-    noted = {"noise_variance": note.noise_variance, "intensities": intensities}
-    write_note(tile.note, {"counts": counts.note()} | noted)
-    return note
+    known = {"noise_variance": float(noise.known), **noise.intensities.facts()}
+    write_note(tile.note, {"counts": counts.note(), "noise": known})
+    return TileNote(_px(tile.region), counts, known)
