@@ -6,7 +6,6 @@ import io
 import json
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from napari_defocus.core.image import prepare_image, shown_colors
-from napari_defocus.io.provenance import ALL_IN_FOCUS, marked_png, said_by, signature
+from napari_defocus.io.provenance import ALL_IN_FOCUS, mark_in_tiff, marked_png, signature
 from napari_defocus.psf.families import Disc
 from napari_defocus.settings import MapSettings
 
@@ -177,12 +176,7 @@ def description_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     No pixels are read.
     """
-    import tifffile
-
-    # Damaged files raise anything; reading them as pictures says what is wrong with them.
-    with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        return said_by(tiff.pages.first.description)
-    return {}
+    return mark_in_tiff(path, ome=False)
 
 
 def settings_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -153,15 +153,21 @@ def _named_by(path: Path, search: _Search) -> list[Path]:
     if path.is_file() or is_zarr(path):
         return [_checked(path)]
     if path.is_dir():
-        return _in_folder(path, search)
-    if not _WILD.search(str(path)):
+        entries, none = _entries(path), "the folder has no pictures"
+        for folder in entries:
+            if folder.is_dir() and not is_zarr(folder):
+                search.leave_out(folder, FOLDER)
+    elif _WILD.search(str(path)):
+        pattern = path.relative_to(path.anchor).parts if path.anchor else path.parts
+        entries, none = [*_matches(Path(path.anchor), pattern)], "no picture matches"
+    else:
         raise UnreadablePicture(f"cannot read {path}: there is no such file")
-    pattern = path.relative_to(path.anchor).parts if path.anchor else path.parts
-    entries = dict.fromkeys(_matches(Path(path.anchor), pattern))
-    matches = [entry for entry in entries if search.is_picture(entry)]
-    if not matches:
-        raise UnreadablePicture(f"cannot read {path}: no picture matches {_kinds(search)}")
-    return sorted(matches, key=naturally)
+    pictures = [entry for entry in dict.fromkeys(entries) if search.is_picture(entry)]
+    if not pictures:
+        left_out = told_left_out(search.counts([]))
+        told = f"({', '.join(PICTURE_SUFFIXES)})" + (f"; left out: {left_out}" if left_out else "")
+        raise UnreadablePicture(f"cannot read {path}: {none} {told}")
+    return sorted(pictures, key=naturally)
 
 
 def _checked(path: Path) -> Path:
@@ -174,25 +180,6 @@ def _checked(path: Path) -> Path:
             "and patterns in quotation marks, leave results out"
         )
     return path
-
-
-def _in_folder(folder: Path, search: _Search) -> list[Path]:
-    entries = _entries(folder)
-    pictures = [entry for entry in entries if search.is_picture(entry)]
-    for entry in entries:
-        if entry.is_dir() and not is_zarr(entry):
-            search.leave_out(entry, FOLDER)
-    if not pictures:
-        raise UnreadablePicture(
-            f"cannot read {folder}: the folder has no pictures {_kinds(search)}"
-        )
-    return pictures
-
-
-def _kinds(search: _Search) -> str:
-    left_out = search.counts([])
-    told = f"; left out: {told_left_out(left_out)}" if left_out else ""
-    return f"({', '.join(PICTURE_SUFFIXES)}){told}"
 
 
 def _matches(folder: Path, pattern: tuple[str, ...]) -> Iterator[Path]:
@@ -224,9 +211,6 @@ def _folders(folder: Path) -> list[Path]:
 
 def naturally(path: Path) -> list[tuple[list[tuple[int, str]], str]]:
     """Return a key that sorts numbers in names by their value."""
-    return [(_words(part), part) for part in path.parts]
-
-
-def _words(name: str) -> list[tuple[int, str]]:
-    pieces = re.split(r"(\d+)", name.lower())
-    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in pieces]
+    words = (re.split(r"(\d+)", part.lower()) for part in path.parts)
+    numbers = ([(int(w), "") if w.isdecimal() else (-1, w) for w in each] for each in words)
+    return list(zip(numbers, path.parts, strict=True))

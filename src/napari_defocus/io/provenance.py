@@ -67,12 +67,13 @@ def is_picture(mark: dict[str, Any]) -> bool:
     return not mark or mark.get("quantity") in _PICTURES
 
 
-def mark_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what a TIFF of this package says of itself, of one plane or many; else nothing."""
+def mark_in_tiff(path: str | os.PathLike[str], *, ome: bool = True) -> dict[str, Any]:
+    """Return what a TIFF of this package says of itself, if wanted in OME-XML too; else nothing."""
     import tifffile
 
     with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        return said_by(tiff.pages.first.description) or _said_by_ome(tiff.ome_metadata or "")
+        said = said_by(tiff.pages.first.description)
+        return said or _said_by_ome((ome and tiff.ome_metadata) or "")
     return {}
 
 
