@@ -162,12 +162,32 @@ def test_planes_are_written_by_number(tmp_path, blur):
     np.testing.assert_array_equal(read_ome_zarr(writer.finish()).levels[0][1], blur + 1)
 
 
+def test_region_that_ends_with_dots_has_all_of_the_other_axes(tmp_path, blur):
+    colors = np.stack([blur, blur + 1, blur + 2], axis=-1)
+    writer = begun(tmp_path / "a.zarr", (2, 1100, 700, 3), axes="zyxs")
+    for plane in range(2):
+        assert not writer.has_region((plane, ...))
+        writer.write_region((plane, slice(0, 512), ...), colors[:512])
+        writer.write_region((plane, slice(512, 1100), slice(0, 512), ...), colors[512:, :512])
+    left = writer.missing()
+    assert [tuple(part.start for part in tile) for tile in left] == [
+        (plane, row, 512, color) for plane in range(2) for row in (512, 1024) for color in range(3)
+    ]
+    for tile in left:
+        plane, *inside = tile
+        writer.write_region(tile, colors[tuple(inside)][None])
+    assert writer.has_region((...,))
+    stored = read_ome_zarr(writer.finish()).levels[0]
+    np.testing.assert_array_equal(stored, np.moveaxis([colors] * 2, -1, 0))
+
+
 @pytest.mark.parametrize(
     ("region", "shape", "complaint"),
     [
         (np.s_[0:100, 0:512], (100, 512), "whole tiles of 512"),
         (np.s_[512:1024, 0:512], (512, 500), r"values have the shape \(512, 500\)"),
         (np.s_[0:512], (512,), "region has 1 axes; the store has 2"),
+        (np.s_[0:512, 0:700, 0:3, ...], (512, 700, 3), "region has 3 axes; the store has 2"),
         (np.s_[2048:2560, 0:512], (512, 512), "takes a part of 0 to 1100"),
     ],
 )

@@ -375,6 +375,19 @@ def test_stack_that_is_cut_off_is_refused(tmp_path, rng, kind, kept):
     refusal_of(path)
 
 
+@pytest.mark.parametrize("compression", [None, "zlib", "lzw"])
+def test_file_that_is_cut_off_after_it_was_opened_is_told(tmp_path, rng, compression):
+    path = tmp_path / "s.tif"
+    values = rng.integers(0, 255, (3, 200, 300), np.uint8)
+    tifffile.imwrite(path, values, compression=compression, photometric="minisblack")
+    source = open_source(path)
+    with path.open("rb+") as file:
+        file.truncate(path.stat().st_size // 2)
+    with pytest.raises(UnreadablePicture, match=r"cannot read .*s\.tif: ") as error:
+        source.data.compute()
+    assert "\n" not in str(error.value)
+
+
 def test_what_is_no_source_is_refused_with_the_reason(tmp_path, rng):
     assert "there is no such file" in refusal_of(tmp_path / "none.tif")
     assert "no OME-Zarr store" in refusal_of(tmp_path)

@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -19,7 +19,6 @@ from napari_defocus.batch.cluster import Job, in_this_process, outcomes
 from napari_defocus.batch.folder import BatchFolder
 from napari_defocus.batch.planes import (
     BatchPlan,
-    FinishTask,
     PlaneTask,
     failed,
     finish,
@@ -50,7 +49,7 @@ from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.progress import Cancelled, Progress, duration, silent
 from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
 from napari_defocus.io.open import Source
-from napari_defocus.io.picture_files import PictureFiles, look_for_pictures
+from napari_defocus.io.picture_files import Inputs, PictureFiles, as_paths, look_for_pictures
 from napari_defocus.io.settings_file import Settings
 from napari_defocus.settings import BLOCK_SIZE
 
@@ -85,7 +84,7 @@ class BatchReport:
 
 
 def measure_batch(
-    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
+    inputs: Inputs,
     output: str | os.PathLike[str],
     *,
     settings: Settings | None = None,
@@ -226,19 +225,10 @@ def _checked(plan: BatchPlan) -> BatchPlan:
     return replace(plan, settings=settings)
 
 
-def _sources(
-    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str], folder: BatchFolder
-) -> PictureFiles:
+def _sources(inputs: Inputs, folder: BatchFolder) -> PictureFiles:
     """Return the sources, without the results of an earlier run that a pattern finds."""
-    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
-    if not isinstance(given, Iterable):
-        raise TypeError(f"inputs is {type(inputs).__name__}; it takes paths")
-    given = list(given)
+    given, results = as_paths(inputs), folder.results.resolve()
     for one in given:
-        if not isinstance(one, str | os.PathLike):
-            raise TypeError(f"inputs holds a {type(one).__name__}; it takes paths")
-    results = folder.results.resolve()
-    for one in map(Path, given):
         if results in (one.resolve(), *one.resolve().parents):
             raise UnwritableResult(f"cannot write {one}: it is a result and an input")
     looked = look_for_pictures(given, besides=folder.path)
@@ -454,7 +444,7 @@ class _Batch:
                 self._ended(work, next((each for each in errors if each is not None), None))
 
         for target in targets:
-            self.came_up.append(Job.call(finish, FinishTask(target, work.planes), ended))
+            self.came_up.append(Job.call(finish, target, ended))
         if not targets:
             self._ended(work, None)
 

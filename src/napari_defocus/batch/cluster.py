@@ -107,16 +107,9 @@ def in_this_process() -> Iterator[Client]:
 
 @dataclass(frozen=True)
 class Job:
-    """Work for workers.
+    """Work for workers: `submit` takes a client and returns futures, several if it is `divided`.
 
-    Attributes
-    ----------
-    submit : callable
-        Called with a client; returns futures.
-    done : callable
-        What to call, here, with the result of each, or with the exception if there is none.
-    divided : bool
-        Whether there may be several futures.
+    `done` is called, here, with the result of each, or with the exception if there is none.
     """
 
     submit: Callable[[Client], list[Any]]
@@ -148,20 +141,10 @@ def outcomes(
 ) -> Iterator[tuple[Job, Any]]:
     """Yield jobs with their results as workers finish them, or with what was raised.
 
-    Workers that end are none of that, unless a job outlives none: what they had goes to others.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    next_job : callable
-        Asked for one job after another, but for few ahead; None if there is none for now.
-    at_a_time : int, optional
-        How many futures there are, but for divided jobs; two a thread of the workers without.
-
-    Raises
-    ------
-    ConnectionError
-        If the scheduler is gone.
+    Workers that end are none of that, unless a job outlives none: what they had goes to others. If
+    the scheduler is gone, ConnectionError is raised. `next_job` is asked for one job after another,
+    but for few ahead; it returns None if there is none for now. There are `at_a_time` futures, but
+    for divided jobs; without, two a thread of the workers.
     """
     from distributed import as_completed
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,7 @@ _FINISHED = "finished.json"
 class BatchFolder:
     """The folder of a batch: its table, its results, and, hidden, its notes.
 
-    Attributes
-    ----------
-    path : Path
-        Absolute, so that workers elsewhere find it.
+    Its path is absolute, so that workers elsewhere find it.
     """
 
     path: Path
@@ -114,10 +111,8 @@ class BatchFolder:
             )
 
     def _remove_left_over(self) -> None:
-        for folder in (self.path, self.results, self.notes):
-            for part in folder.glob(_PARTS):
-                part.unlink(missing_ok=True)
-        for part in self.notes.glob(f"sources/*/{_PARTS}"):
+        places = (self.path, self.results, self.notes, *self.notes.glob("sources/*"))
+        for part in chain.from_iterable(folder.glob(_PARTS) for folder in places):
             part.unlink(missing_ok=True)
 
 

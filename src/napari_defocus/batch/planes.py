@@ -8,7 +8,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 import napari_defocus
 from napari_defocus.batch.folder import Facts, read_note, write_note
-from napari_defocus.batch.table import DONE, FAILED, Row, count_pixels
+from napari_defocus.batch.table import DONE, FAILED, PixelCounts, Row, count_pixels
 from napari_defocus.core.intensity import Limits
 from napari_defocus.core.progress import silent
 from napari_defocus.core.writing import write_results
@@ -26,11 +25,12 @@ from napari_defocus.io.encoders import (
     confidence_tiff,
     mask_png,
     picture_png,
+    said_of_map,
     with_opacity,
 )
-from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.io.ome_zarr_writer import OmeZarrWriter, Region, aside
 from napari_defocus.io.open import Source, open_source
-from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE
+from napari_defocus.io.provenance import ALL_IN_FOCUS, signature
 from napari_defocus.io.settings_file import Settings
 from napari_defocus.pipeline import Measurement, measure_map, restore, segment, used
 from napari_defocus.restoration.all_in_focus import Restoration
@@ -64,18 +64,9 @@ KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class BatchPlan:
-    """What is made of every plane.
+    """What is made of every plane: `kinds` of `KINDS`, "map" among them.
 
-    Attributes
-    ----------
-    settings : Settings
-    kinds : tuple of str
-        Of `KINDS`, "map" among them.
-    min_confidence : float
-        Below it, the map is NaN.
-    intensity_range : (float, float) or None
-    block_size : int
-        Side, in px, of the parts of large planes.
+    Below `min_confidence`, the map is NaN. Large planes have parts of `block_size` px a side.
     """
 
     settings: Settings
@@ -83,6 +74,24 @@ class BatchPlan:
     min_confidence: float
     intensity_range: tuple[float, float] | None
     block_size: int = BLOCK_SIZE
+
+    def restoration(self, noise_variance: float | None) -> Restoration:
+        """Return how planes are restored."""
+        of_map, tv_weight = self.settings.map, self.settings.restoration.tv_weight
+        psf, linearize = of_map.family(), of_map.linearize
+        return Restoration(psf, noise_variance, tv_weight, linearize, self.intensity_range)
+
+    def counts(
+        self, blur_map: NDArray[Any], confidence: NDArray[Any], mask: NDArray[Any] | None
+    ) -> PixelCounts:
+        """Return what the table needs of a plane, or of a part of it."""
+        return count_pixels(
+            blur_map,
+            confidence,
+            mask,
+            threshold=self.settings.mask.threshold,
+            max_scale=self.settings.map.family().max_scale,
+        )
 
     def facts(self) -> Facts:
         """Return what shapes the results, as JSON holds it."""
@@ -102,35 +111,25 @@ class BatchPlan:
 
     def description(self, kind: str) -> Facts:
         """Return what a store of a kind says of itself."""
-        scale_name = self.settings.map.family().scale_name
         about: Facts = {"quantity": KINDS[kind].quantity, "unit": KINDS[kind].unit}
         if kind == "map":
-            about["quantity"] += f" {scale_name.removesuffix(' (px)')}"
-            about["scale"] = scale_name
+            about = said_of_map(self.settings.map.family().scale_name)
         facts = self.facts()
         shaping = facts["map"] | {"min_confidence": self.min_confidence}
         if kind in ("mask", "in_focus"):
             shaping |= facts["mask" if kind == "mask" else "restoration"]
             shaping["noise_variance"] = facts["map"]["noise_variance"]
         shaping |= {name: facts[name] for name in ("intensity_range", "block_size")}
-        version = {"software": SOFTWARE, "version": napari_defocus.__version__}
-        return about | version | {"settings": shaping}
+        return about | signature() | {"settings": shaping}
 
 
 @dataclass(frozen=True)
 class Target:
-    """Where a result goes.
+    """Where a result goes: `path`, when it is whole.
 
-    Attributes
-    ----------
-    kind : str
-    path : Path
-        Of the result when it is whole.
-    store : Path or None
-        A store that planes are written into, one after another: `path` itself, or one that
-        becomes the file at `path` at the end. None if a plane is a file.
-    writer : OmeZarrWriter or None
-        For the store, unless that is whole already.
+    `store` is what planes are written into, one after another: `path` itself, or a store that
+    becomes the file at `path` at the end; None if a plane is a file. `writer` writes it, unless
+    it is whole already.
     """
 
     kind: str
@@ -138,25 +137,20 @@ class Target:
     store: Path | None = None
     writer: OmeZarrWriter | None = None
 
+    def has(self, region: Region) -> bool:
+        """Return whether the result of a plane, or of a part of it, is there."""
+        if self.store is None:
+            return self.path.exists()
+        # Without a writer, the store is whole.
+        return self.writer is None or self.writer.has_region((*region, ...))
+
 
 @dataclass(frozen=True, eq=False)
 class PlaneTask:
-    """A plane to be measured.
+    """A plane to be measured, (H, W[, 3 or 4]), not yet read.
 
-    Attributes
-    ----------
-    plane : dask.array.Array
-        (H, W[, 3 or 4]), not yet read.
-    index : tuple of int
-    known : dict
-        What its row says whether it fails or not.
-    results : dict of str to str
-        What its row says of where results are.
-    targets : tuple of Target
-    row_path : Path
-    plan : BatchPlan
-    stack : Path or None
-        The source, if its restored planes share a range that is found from all of them.
+    `known` is what its row says whether it fails or not, `results` what it says of where results
+    are; `stack` is the source if restored planes share a range that is found from all of them.
     """
 
     plane: da.Array
@@ -167,14 +161,6 @@ class PlaneTask:
     row_path: Path
     plan: BatchPlan
     stack: Path | None = None
-
-
-@dataclass(frozen=True)
-class FinishTask:
-    """A result of a source, of which every plane was tried."""
-
-    target: Target
-    planes: tuple[Index, ...]
 
 
 def look_at(path: Path) -> Source | str:
@@ -235,10 +221,7 @@ def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDA
         limits = _stack_limits(task)
     elif noise is None:
         noise = found.noise_variance
-    how = Restoration(
-        found.psf, noise, settings.tv_weight, plan.settings.map.linearize, plan.intensity_range
-    )
-    safe = found.cautious(settings.risk)
+    safe, how = found.cautious(settings.risk), plan.restoration(noise)
     return restore(picture, safe, found.confidence, how, limits=limits)
 
 
@@ -260,13 +243,7 @@ def _stack_limits(task: PlaneTask) -> Limits:
 
 def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Row:
     assert found.confidence is not None
-    counts = count_pixels(
-        found.blur_map,
-        found.confidence,
-        mask,
-        threshold=plan.settings.mask.threshold,
-        max_scale=found.psf.max_scale,
-    )
+    counts = plan.counts(found.blur_map, found.confidence, mask)
     noise = found.noise_variance
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
     return facts | ({} if found.intensities is None else found.intensities.facts())
@@ -280,12 +257,8 @@ def _write(
         if target.writer is None:
             contents[target.path] = _encoded(target.kind, made, found, picture, task.plan)
         else:
-            target.writer.write_region(_region(target.writer, task.index), made[target.kind])
+            target.writer.write_region((*task.index, ...), made[target.kind])
     write_results(contents, force=True)
-
-
-def _region(writer: OmeZarrWriter, index: Index) -> tuple[slice | int, ...]:
-    return (*index, *(slice(0, size) for size in writer.shape[len(index) :]))
 
 
 def _encoded(
@@ -303,14 +276,6 @@ def _encoded(
     if kind == "confidence":
         return confidence_tiff(made[kind], made_with)
     return mask_png(made[kind]) if kind == "mask" else picture_png(made[kind], picture)
-
-
-def has_plane(target: Target, index: Index) -> bool:
-    """Return whether the result of a plane is there."""
-    if target.store is None:
-        return target.path.exists()
-    # Without a writer, the store is whole.
-    return target.writer is None or target.writer.has_region(_region(target.writer, index))
 
 
 def go_on_from_whole(target: Target) -> None:
@@ -334,46 +299,28 @@ def _copy_unless_there(source: str, target: str) -> None:
         part.replace(target)
 
 
-def finish(task: FinishTask) -> str | None:
-    """Make a result of a source whole; return why that failed, if it did.
+def finish(target: Target) -> str | None:
+    """Make a result of a source whole, now that every plane was tried; return why that failed.
 
     It may have been begun before, and killed anywhere. Planes that could not be measured are
     NaN; in masks, not in focus.
     """
+    store, writer = target.store, target.writer
     try:
-        _finish_store(task.target, task.planes)
+        if writer is not None and writer.part.exists():
+            nothing = np.nan if writer.dtype == "float32" else 0
+            for tile in writer.missing():
+                shape = [part.stop - part.start for part in tile]
+                writer.write_region(tile, np.full(shape, nothing, writer.dtype))
+            writer.finish()
+        if store is not None:
+            # Killed at its very end, an earlier run may have left what it replaced.
+            shutil.rmtree(aside(store), ignore_errors=True)
+            if store != target.path and store.exists():
+                _convert(store, target.path)
     except Exception as error:
         return reason(error)
     return None
-
-
-def _finish_store(target: Target, planes: tuple[Index, ...]) -> None:
-    writer = target.writer
-    if writer is not None and writer.part.exists():
-        for index in planes:
-            _fill(writer, index)
-        writer.finish()
-    store = target.store
-    if store is not None:
-        # Killed at its very end, an earlier run may have left what it replaced.
-        shutil.rmtree(store.with_name(f".{store.name}.old"), ignore_errors=True)
-    if store is not None and store != target.path and store.exists():
-        _convert(store, target.path)
-
-
-def _fill(writer: OmeZarrWriter, index: Index) -> None:
-    """Write NaN, or 0 into masks, where a plane was not written."""
-    height, width, *colors = writer.shape[len(index) :]
-    nothing = np.nan if writer.dtype == "float32" else 0
-    for top, left in product(range(0, height, writer.tile), range(0, width, writer.tile)):
-        tile = (
-            slice(top, min(top + writer.tile, height)),
-            slice(left, min(left + writer.tile, width)),
-            *(slice(0, count) for count in colors),
-        )
-        if not writer.has_region((*index, *tile)):
-            shape = [part.stop - part.start for part in tile]
-            writer.write_region((*index, *tile), np.full(shape, nothing, writer.dtype))
 
 
 def _convert(store: Path, path: Path) -> None:

@@ -27,12 +27,11 @@ from napari_defocus.batch.planes import (
     discard,
     failed,
     go_on_from_whole,
-    has_plane,
     reason,
 )
 from napari_defocus.batch.table import DONE, Row, source_facts
 from napari_defocus.core.intensity import needs_limits
-from napari_defocus.io.ome_zarr_writer import new_ome_zarr
+from napari_defocus.io.ome_zarr_writer import new_ome_zarr, part_of
 from napari_defocus.io.open import Source
 
 FileFormat = Literal["auto", "tiff", "ome-zarr"]
@@ -46,20 +45,10 @@ LARGEST_AT_ONCE = 4_000_000
 
 @dataclass(frozen=True)
 class BatchInput:
-    """A source by its path.
+    """A source by its path, as it was `given`, and by what the names of its results begin with.
 
-    Attributes
-    ----------
-    given : Path
-        As it was named.
-    name : str
-        What the names of its results begin with.
-    facts : dict
-        What it is, and what it is to be measured with.
-    unchanged : bool
-        Whether an earlier run has begun it, and nothing of that has changed.
-    change : str
-        How the source has changed since; "" if it has not, or is new.
+    `facts` say what it is, and what it is to be measured with. It is `unchanged` if an earlier run
+    has begun it, and nothing of that has changed; `change` says how the source has, else "".
     """
 
     given: Path
@@ -77,13 +66,9 @@ def compared_inputs(sources: list[Path], folder: BatchFolder, made_with: Facts) 
         facts = identity(given) | {"settings": digest}
         before = folder.of_source(name).begun_with()
         # What other settings change, the plan of the batch tells.
-        same_settings = facts if before is None else before | {"settings": digest}
-        change = f"of {given}, {differences(same_settings, facts)}"
-        inputs.append(
-            BatchInput(
-                given, name, facts, before == facts, "" if same_settings == facts else change
-            )
-        )
+        changes = differences((before or facts) | {"settings": digest}, facts)
+        change = changes and f"of {given}, {changes}"
+        inputs.append(BatchInput(given, name, facts, before == facts, change))
     return inputs
 
 
@@ -123,22 +108,9 @@ def plane_size(source: Source) -> tuple[int, int]:
 
 @dataclass(eq=False)
 class SourceWork:
-    """A source at work.
+    """A source at work: all of its planes, and `rows` of those that are finished or were tried.
 
-    Attributes
-    ----------
-    input : BatchInput
-    notes : SourceNotes
-    known : dict
-        What the rows of all planes say.
-    planes : tuple of index
-        All of them, in order.
-    labels : dict of index to str
-    targets : tuple of Target
-    rows : dict of index to row
-        Of planes that are finished, or were tried.
-    plane_px : int
-    plan : BatchPlan
+    `known` is what the rows of all planes say.
     """
 
     input: BatchInput
@@ -256,7 +228,7 @@ def begin(
         rows={
             index: as_named(each, row)
             for index, row in rows.items()
-            if all(has_plane(target, index) for target in targets)
+            if all(target.has(index) for target in targets)
         },
         plane_px=height * width,
         plan=plan,
@@ -289,8 +261,7 @@ def _with_writer(target: Target, source: Source, plan: BatchPlan, *, complete: b
     store = target.store
     if store is None:
         return target
-    begun = store.with_name(f".{store.name}.part").exists()
-    if complete and store.exists() and not begun:
+    if complete and store.exists() and not part_of(store).exists():
         return target
     axes = f"{source.plane_axes}yx"
     shape = source.data.shape[: len(axes)]
@@ -320,7 +291,7 @@ def _remove_results(folder: BatchFolder, name: str) -> None:
         for suffix in {".tif", ".ome.tif", kind.suffix}:
             _ending_in(place, suffix).unlink(missing_ok=True)
         store = _ending_in(place, ".ome.zarr")
-        for path in (store, store.with_name(f".{store.name}.part")):
+        for path in (store, part_of(store)):
             shutil.rmtree(path, ignore_errors=True)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.settings import CONFIDENT
 
 Row = dict[str, Any]
@@ -42,22 +43,13 @@ COLUMNS = (
     *RESULTS,
 )
 
-_UM = {"angstrom": 1e-4, "nanometer": 1e-3, "micrometer": 1.0, "millimeter": 1e3}
-_UM |= {"centimeter": 1e4, "inch": 25_400.0, "meter": 1e6}
-
 
 @dataclass(frozen=True, eq=False)
 class PixelCounts:
     """How many pixels have which radius and which confidence; those of parts can be added.
 
-    Attributes
-    ----------
-    radii : (N,) int64 ndarray
-        Of radii of 0, 0.01, 0.02 px, ..., each rounded to the nearest.
-    confidences : (1001,) int64 ndarray
-        Of confidences of 0, 0.001, ..., 1.
-    in_focus, sure : int
-        Pixels that are in focus, and those whose confidence is 0.5 or more.
+    Radii of 0, 0.01, 0.02 px, ... and confidences of 0, 0.001, ..., 1 are counted, each rounded to
+    the nearest; pixels are `sure` whose confidence is 0.5 or more.
     """
 
     radii: NDArray[np.int64]
@@ -67,27 +59,11 @@ class PixelCounts:
 
     def __add__(self, other: PixelCounts) -> PixelCounts:
         """Return the counts of both parts."""
-        return PixelCounts(
-            self.radii + other.radii,
-            self.confidences + other.confidences,
-            self.in_focus + other.in_focus,
-            self.sure + other.sure,
-        )
-
-    @classmethod
-    def none(cls) -> PixelCounts:
-        """Return the counts of no pixels: what can be added to any."""
-        zero = np.zeros(1, np.int64)
-        return cls(zero, zero, 0, 0)
+        return PixelCounts(**{name: vars(other)[name] + own for name, own in vars(self).items()})
 
     def note(self) -> dict[str, Any]:
         """Return the counts as JSON holds them."""
-        return {
-            "radii": self.radii.tolist(),
-            "confidences": self.confidences.tolist(),
-            "in_focus": self.in_focus,
-            "sure": self.sure,
-        }
+        return {name: np.asarray(counts).tolist() for name, counts in vars(self).items()}
 
     @classmethod
     def of_note(cls, note: Mapping[str, Any]) -> PixelCounts:
@@ -117,18 +93,10 @@ def count_pixels(
     threshold: float,
     max_scale: float,
 ) -> PixelCounts:
-    """Count the pixels of a map, or of a part of it.
+    """Count the pixels of a map, or of a part of it, (H, W) in px.
 
-    Parameters
-    ----------
-    blur_map : (H, W) ndarray
-        In px. What is not finite does not count.
-    confidence : (H, W) ndarray
-        Where it is 0, such as where a picture is transparent, pixels do not count.
-    mask : (H, W) ndarray or None
-        Not 0 in focus; None counts radii up to `threshold` as in focus.
-    threshold, max_scale : float
-        In px; no radius is above `max_scale`.
+    What is not finite, or has no confidence, such as where a picture is transparent, does not
+    count. Without a mask, radii up to `threshold` are in focus; none is above `max_scale`.
 
     Examples
     --------
@@ -165,9 +133,9 @@ def _percentile(counts: NDArray[np.int64], percent: float, step: float) -> float
 def source_facts(source: str, pixel_size: Mapping[str, float], units: Mapping[str, str]) -> Row:
     """Return what a row says of where its picture is from."""
     sizes = {
-        name: pixel_size[axis] * _UM[units[axis]]
+        name: pixel_size[axis] * MICROMETERS[units[axis]]
         for axis, name in (("x", "pixel_width_um"), ("y", "pixel_height_um"))
-        if axis in pixel_size and units.get(axis) in _UM
+        if axis in pixel_size and units.get(axis) in MICROMETERS
     }
     return {"source": source, **sizes}
 
@@ -175,10 +143,7 @@ def source_facts(source: str, pixel_size: Mapping[str, float], units: Mapping[st
 def in_csv(rows: Iterable[Row]) -> bytes:
     """Return rows as a CSV file of all `COLUMNS`; what is not known is empty."""
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(COLUMNS)
-    for row in rows:
-        table.writerow(["" if cell is None else cell for cell in _cells(row)])
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *map(_cells, rows)])
     return text.getvalue().encode()
 
 

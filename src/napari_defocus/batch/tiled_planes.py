@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from itertools import groupby
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
-from napari_defocus.batch.table import DONE, PixelCounts, Row, count_pixels
+from napari_defocus.batch.table import DONE, PixelCounts, Row
 from napari_defocus.core.progress import silent
-from napari_defocus.io.ome_zarr_writer import TILE
+from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
 
 Region = tuple[slice, slice]
@@ -33,8 +34,7 @@ class TileNote:
 
     px: int
     counts: PixelCounts
-    noise_variance: float
-    intensities: Mapping[str, Any]
+    noise: Row
 
 
 @dataclass(frozen=True)
@@ -49,17 +49,9 @@ class _TileTask:
 
 
 class TiledPlane:
-    """A large plane, of which tiles are worked on one by one.
+    """A large plane, of which tiles are worked on one by one; all of its targets have stores.
 
-    Parameters
-    ----------
-    task : PlaneTask
-        All of its targets have stores.
-
-    Raises
-    ------
-    TooLarge
-        If something is wanted that is not made of tiles.
+    TooLarge is raised if something is wanted that is not made of tiles.
     """
 
     def __init__(self, task: PlaneTask) -> None:
@@ -69,7 +61,7 @@ class TiledPlane:
         self.task, self._plane = task, task.plane
         self.error: str | None = None
         self._parts = [
-            self._part(region) for region in _regions(task.plane.shape[:2], plan.block_size)
+            self._part(region) for region in whole_tiles(task.plane.shape[:2], plan.block_size)
         ]
         known = [(tile, _finished(tile)) for tile in self._parts]
         self._left = [tile for tile, note in known if note is None]
@@ -96,11 +88,8 @@ class TiledPlane:
         known = self.task.known
         if self.error is not None:
             return failed(known, self.error)
-        counts = sum((note.counts for note in self.notes), PixelCounts.none())
-        first = self.notes[0]
-        noise = {"noise_variance": first.noise_variance} | dict(first.intensities)
-        row = known | {"status": DONE} | counts.facts() | noise
-        row |= self.task.results
+        counts = reduce(add, (note.counts for note in self.notes))
+        row = known | {"status": DONE} | counts.facts() | self.notes[0].noise | self.task.results
         write_note(self.task.row_path, row)
         for tile in self._parts:
             tile.note.unlink(missing_ok=True)
@@ -130,27 +119,15 @@ class TiledPlane:
         found = lazy.measure(asked)
         if restoration is not None:
             noise = restoration.noise_variance
+            how = plan.restoration(settings.noise_variance if noise is None else noise)
             found["in_focus"] = napari_defocus.restore_all_in_focus(
                 plane,
                 found.pop("cautious"),
-                psf=settings.family(),
-                noise_variance=settings.noise_variance if noise is None else noise,
+                **vars(how),
                 confidence=found["confidence"],
-                tv_weight=restoration.tv_weight,
-                linearize=settings.linearize,
-                intensity_range=limits,
                 block_size=block_size,
             )
         return found, lazy.noise(())
-
-
-def _regions(shape: tuple[int, ...], block_size: int) -> Iterator[Region]:
-    """Yield tiles as large as those that are measured, in whole tiles of the stores."""
-    height, width = shape
-    side = TILE * max(1, block_size // TILE)
-    for top in range(0, height, side):
-        for left in range(0, width, side):
-            yield slice(top, min(top + side, height)), slice(left, min(left + side, width))
 
 
 def _px(region: Region) -> int:
@@ -159,40 +136,20 @@ def _px(region: Region) -> int:
 
 def _finished(tile: _TileTask) -> TileNote | None:
     known = read_note(tile.note)
-    if known is None or not all(_has(target, tile) for target in tile.targets):
+    if known is None or not all(t.has((*tile.index, *tile.region)) for t in tile.targets):
         return None
-    counts = PixelCounts.of_note(known["counts"])
-    return TileNote(_px(tile.region), counts, known["noise_variance"], known["intensities"])
-
-
-def _has(target: Target, tile: _TileTask) -> bool:
-    # Without a writer, the store is whole.
-    return target.writer is None or target.writer.has_region(_place(tile, target))
-
-
-def _place(tile: _TileTask, target: Target) -> tuple[slice | int, ...]:
-    assert target.writer is not None
-    colors = target.writer.shape[len(tile.index) + 2 :]
-    return (*tile.index, *tile.region, *(slice(0, count) for count in colors))
+    return TileNote(_px(tile.region), PixelCounts.of_note(known["counts"]), known["noise"])
 
 
 def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileNote:
     """Write what was found of a tile, note that it is finished, and return the note."""
     plan, confidence = tile.plan, found["confidence"]
-    counts = count_pixels(
-        found["blur_map"],
-        confidence,
-        found.get("mask"),
-        threshold=plan.settings.mask.threshold,
-        max_scale=plan.settings.map.family().max_scale,
-    )
+    counts = plan.counts(found["blur_map"], confidence, found.get("mask"))
     untrusted = confidence < plan.min_confidence
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in tile.targets:
         assert target.writer is not None
-        target.writer.write_region(_place(tile, target), made[target.kind])
-    intensities = noise.intensities.facts()
-    note = TileNote(_px(tile.region), counts, float(noise.known), intensities)
-    noted = {"noise_variance": note.noise_variance, "intensities": intensities}
-    write_note(tile.note, {"counts": counts.note()} | noted)
-    return note
+        target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
+    known = {"noise_variance": float(noise.known), **noise.intensities.facts()}
+    write_note(tile.note, {"counts": counts.note(), "noise": known})
+    return TileNote(_px(tile.region), counts, known)

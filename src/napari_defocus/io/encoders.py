@@ -6,16 +6,14 @@ import io
 import json
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-import napari_defocus
 from napari_defocus.core.image import prepare_image, shown_colors
-from napari_defocus.io.provenance import ALL_IN_FOCUS, SOFTWARE, marked_png, said_by
+from napari_defocus.io.provenance import ALL_IN_FOCUS, mark_in_tiff, marked_png, signature
 from napari_defocus.psf.families import Disc
 from napari_defocus.settings import MapSettings
 
@@ -47,31 +45,26 @@ def blur_map_tiff(
     made: Mapping[str, Any] | None = None,
     pixel_size: tuple[float, float] | None = None,
 ) -> bytes:
-    """Encode the values of a blur map as a TIFF file.
+    """Encode a blur map, (..., H, W) in px, NaN where it is not trusted, as a TIFF file.
 
-    Parameters
-    ----------
-    blur_map : (..., H, W) array_like
-        Blur scale, in px; NaN where it is not trusted.
-    settings : mapping
-        What made the map; anything that JSON can hold.
-    scale_name : str
-        What the PSF family's scale measures.
-    made : mapping, optional
-        What else is known about it, such as its source and another version that made it.
-    pixel_size : (float, float), optional
-        Height and width of a pixel, in m, for the resolution that other programs show.
+    It is float32, deflate-compressed, a page a plane. Its ImageDescription is a JSON object that
+    says the quantity, the unit, the version of this package, the settings that made the map, the
+    shape, and what else is `made`, such as its source. The height and width of a pixel, in m,
+    become the resolution that other programs show.
+    """
+    return _tiff(blur_map, said_of_map(scale_name), settings, made, pixel_size)
 
-    Returns
-    -------
-    bytes
-        A float32 TIFF, deflate-compressed, a page a plane. Its ImageDescription is a JSON object
-        that says the quantity, the unit, the version of this package, the settings, the shape,
-        and what is in `made`.
+
+def said_of_map(scale_name: str) -> dict[str, str]:
+    """Return what a blur map says it holds; `scale_name` is what the PSF family's scale measures.
+
+    Examples
+    --------
+    >>> said_of_map("radius (px)")["quantity"]
+    'defocus blur radius'
     """
     quantity = f"{_BLUR_QUANTITY} {scale_name.removesuffix(' (px)')}"
-    what = {"quantity": quantity, "unit": "px", "scale": scale_name}
-    return _tiff(blur_map, what, settings, made, pixel_size)
+    return {"quantity": quantity, "unit": "px", "scale": scale_name}
 
 
 def confidence_tiff(
@@ -101,21 +94,10 @@ def picture_tiff(picture: ArrayLike, quantity: str, settings: Mapping[str, Any])
 
 
 def picture_png(picture: ArrayLike, source: ArrayLike, quantity: str = ALL_IN_FOCUS) -> bytes:
-    """Encode a picture as a PNG file, with about as many levels as the one it was made from.
+    """Encode a picture, (H, W[, 3 or 4]) in [0, 1], as a PNG file that says its quantity.
 
-    Parameters
-    ----------
-    picture : (H, W) or (H, W, 3) or (H, W, 4) array_like
-        In [0, 1]; what is beyond is clipped, and NaN is transparent.
-    source : array_like
-        The picture that it was made from.
-    quantity : str, optional
-        What the file says it is, see `napari_defocus.io.provenance`.
-
-    Returns
-    -------
-    bytes
-        A PNG file of 8 bits a channel if the source has no more, else of 16.
+    What is beyond is clipped, and NaN is transparent. The file has 8 bits a channel if the source,
+    which the picture was made from, has no more, else 16.
     """
     import imagecodecs
 
@@ -157,8 +139,7 @@ def _tiff(
     array = np.asarray(values, np.float32)
     description = {
         **what,
-        "software": SOFTWARE,
-        "version": napari_defocus.__version__,
+        **signature(),
         "settings": dict(settings),
         "shape": array.shape,
         **(made or {}),
@@ -171,7 +152,7 @@ def _tiff(
         extrasamples=["unassalpha"] if color and array.shape[2:] == (4,) else None,
         compression="zlib",
         description=json.dumps(description, default=_plain),
-        software=f"{SOFTWARE} {napari_defocus.__version__}",
+        software=" ".join(signature().values()),
         metadata=None,
         **_resolution(pixel_size),
     )
@@ -195,12 +176,7 @@ def description_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     No pixels are read.
     """
-    import tifffile
-
-    # Damaged files raise anything; reading them as pictures says what is wrong with them.
-    with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        return said_by(tiff.pages.first.description)
-    return {}
+    return mark_in_tiff(path, ome=False)
 
 
 def settings_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -217,21 +193,9 @@ def holds(description: Mapping[str, Any]) -> str | None:
 
 
 def values_in_tiff(path: str | os.PathLike[str]) -> NDArray[Any]:
-    """Return the values that a TIFF of `blur_map_tiff` or `confidence_tiff` holds.
+    """Return the values of a TIFF of `blur_map_tiff` or `confidence_tiff`, (..., H, W) float32.
 
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    (..., H, W) float32 ndarray
-        As they were, bit for bit.
-
-    Raises
-    ------
-    ValueError
-        If the file is cut off or damaged.
+    They are as they were, bit for bit; ValueError is raised if the file is cut off or damaged.
 
     Examples
     --------
@@ -259,45 +223,22 @@ def blur_map_png(
     scale_name: str = Disc.scale_name,
     min_confidence: float = 0.0,
 ) -> bytes:
-    """Draw a blur map in colour, with a colour bar in px, as a PNG file.
+    """Draw a blur map, (H, W) in px, in colour, with a colour bar, as a PNG file.
 
-    Parameters
-    ----------
-    blur_map : (H, W) array_like
-        Blur scale, in px; NaN, drawn grey, where it is not trusted.
-    max_scale : float
-        The scale, in px, at the upper end of the colour bar; the lower end is 0 px.
-    scale_name : str
-        What the PSF family's scale measures, with its unit.
-    min_confidence : float
-        Below what confidence the map is not trusted; told if it is above 0.
-
-    Returns
-    -------
-    bytes
-        A PNG file: one picture pixel a pixel of the map, unless the map is very small or
-        very large.
+    The bar ends at 0 px and `max_scale`. NaN, where the map is not trusted, is grey; below which
+    confidence that is, is told if it is above 0. A pixel of the map is one of the drawing, unless
+    it is very small or very large.
     """
     note = f"grey: confidence below {min_confidence:g}" if min_confidence > 0 else ""
     return _drawing(blur_map, COLOR_MAP, (0.0, max_scale), f"blur {scale_name}", note)
 
 
 def depth_png(depth: ArrayLike, min_confidence: float = 0.0) -> bytes:
-    """Draw distances in colour, with a colour bar in m, as a PNG file.
+    """Draw distances, (H, W) in m, in colour, with a colour bar, as a PNG file.
 
-    Parameters
-    ----------
-    depth : (H, W) array_like
-        In m; infinite, drawn light blue, where no distance has so much blur; NaN, drawn grey,
-        where it is not trusted. Both are told.
-    min_confidence : float
-        Below what confidence distances are not trusted.
-
-    Returns
-    -------
-    bytes
-        A PNG file like that of `blur_map_png`. The colour bar ends at the 2nd and the 98th
-        percentile of the finite distances.
+    It is like that of `blur_map_png`; the bar ends at the 2nd and the 98th percentile of the finite
+    distances. Where no distance has so much blur they are infinite and light blue, where they are
+    not trusted NaN and grey. Both are told.
     """
     distance = np.asarray(depth, np.float32)
     finite, infinite = distance[np.isfinite(distance)], np.isposinf(distance)
@@ -357,40 +298,17 @@ def _shown_size(height: int, width: int) -> tuple[int, int]:
 
 
 def mask_png(mask: ArrayLike) -> bytes:
-    """Encode an in-focus mask as a PNG file that people can look at.
-
-    Parameters
-    ----------
-    mask : (H, W) array_like
-        Non-zero in focus, 0 out of focus.
-
-    Returns
-    -------
-    bytes
-        An 8-bit grey PNG: 255 (white) in focus, 0 (black) out of focus.
-    """
+    """Encode a mask, (H, W), 0 out of focus, as an 8-bit grey PNG file: 255 (white) in focus."""
     return _png(np.where(np.asarray(mask) != 0, 255, 0).astype(np.uint8), "in-focus mask")
 
 
 def overlay_png(
     image: ArrayLike, mask: ArrayLike, intensity_range: tuple[float, float] | None = None
 ) -> bytes:
-    """Show an in-focus mask on its picture, as a PNG file.
+    """Show an in-focus mask, (H, W), on its picture, as an 8-bit RGB PNG file.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
-        The picture; what `napari_defocus.core.image.prepare_image` takes.
-    mask : (H, W) array_like
-        Non-zero in focus, 0 out of focus.
-    intensity_range : (float, float), optional
-        The intensities shown as black and white, instead of those that are found; a picture
-        that fills less than half of them is brightened.
-
-    Returns
-    -------
-    bytes
-        An 8-bit RGB PNG: the part out of focus dimmed, a thin outline around the rest.
+    What is out of focus is dimmed, and there is a thin outline around the rest. A picture that
+    fills less than half of the `intensity_range`, shown as black and white, is brightened.
     """
     focused = np.asarray(mask) != 0
     color = shown_colors(prepare_image(image, intensity_range))

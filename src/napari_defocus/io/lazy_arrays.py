@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Iterator
+from itertools import product
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -52,29 +54,17 @@ def _covering(key: Any, size: int) -> tuple[slice, Any]:
     if not isinstance(key, slice):
         start = int(key) % size
         return slice(start, start + 1), 0
-    start, stop, step = key.indices(size)
-    if step > 0:
-        return slice(start, stop), slice(None, None, step)
-    asked = range(start, stop, step)
+    asked = range(*key.indices(size))
     if not asked:
         return slice(0, 0), slice(None)
-    return slice(asked[-1], asked[0] + 1), slice(None, None, step)
+    first, last = sorted((asked[0], asked[-1]))
+    return slice(first, last + 1), slice(None, None, asked.step)
 
 
 def lazy_array(reader: RegionReader, blocks: tuple[int, ...]) -> da.Array:
-    """Return a dask array whose blocks are read when they are computed.
+    """Return a dask array whose blocks, so long along each axis, are read when they are computed.
 
-    Parameters
-    ----------
-    reader : RegionReader
-        Reads one region; only what is asked for is read.
-    blocks : tuple of int
-        Length of a block along each axis.
-
-    Returns
-    -------
-    dask.array.Array
-        Of the reader's shape and dtype.
+    Of a block, only what is asked for is read.
     """
     import dask.array as da
 
@@ -87,14 +77,7 @@ def lazy_array(reader: RegionReader, blocks: tuple[int, ...]) -> da.Array:
 class Carried:
     """A lazy array that can be sent to another process, whatever functions read its blocks.
 
-    Parameters
-    ----------
-    array : dask.array.Array or other array
-        `pickle` alone refuses functions without a name, such as those that many readers use.
-
-    Attributes
-    ----------
-    array : array
+    `pickle` alone refuses functions without a name, such as those that many readers use.
     """
 
     def __init__(self, array: Any) -> None:
@@ -111,6 +94,20 @@ class Carried:
 
 def _arrived(pickled: bytes, buffers: list[Any]) -> Carried:
     return Carried(pickle.loads(pickled, buffers=buffers))
+
+
+def regions(shape: tuple[int, ...], sides: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Yield the parts that make up an array, so long along each axis but at its end.
+
+    Examples
+    --------
+    >>> [(rows.stop, columns.start) for rows, columns in regions((2, 7), (5, 4))]
+    [(2, 0), (2, 4)]
+    """
+    starts = (range(0, size, side) for size, side in zip(shape, sides, strict=True))
+    for corner in product(*starts):
+        bounds = zip(corner, sides, shape, strict=True)
+        yield tuple(slice(at, min(at + side, size)) for at, side, size in bounds)
 
 
 def block_side(tile: int, size: int) -> int:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from napari_defocus.io.lazy_arrays import regions
 
 SMALLEST_LEVEL = 512
 """px: the pyramid ends where no side is longer."""
@@ -30,21 +31,11 @@ def level_shapes(shape: tuple[int, ...], row_axis: int) -> list[tuple[int, ...]]
 
 
 def halve_into(fine: Any, coarse: Any, piece: tuple[int, ...], *, labels: bool = False) -> None:
-    """Fill the next level of a pyramid, a piece at a time; rows and columns are the last axes.
+    """Fill the next level of a pyramid, (..., ceil(H / 2), ceil(W / 2)), a piece at a time.
 
-    Parameters
-    ----------
-    fine, coarse : array-like that is read, and written, by slices
-        (..., H, W) and (..., ceil(H / 2), ceil(W / 2)), such as arrays of Zarr.
-    piece : tuple of int
-        Lengths of what is written at a time; four times as many pixels are read.
-    labels : bool
-        As in `halved`.
+    Levels are read and written by slices, such as arrays of Zarr; `labels` are as in `halved`.
     """
-    starts = [range(0, size, side) for size, side in zip(coarse.shape, piece, strict=True)]
-    for corner in product(*starts):
-        bounds = zip(corner, piece, coarse.shape, strict=True)
-        target = tuple(slice(at, min(at + side, size)) for at, side, size in bounds)
+    for target in regions(coarse.shape, piece):
         rows, columns = (slice(2 * part.start, 2 * part.stop) for part in target[-2:])
         coarse[target] = halved(fine[(*target[:-2], rows, columns)], labels=labels)
 
@@ -65,23 +56,21 @@ def halved(values: NDArray[Any], *, labels: bool = False) -> NDArray[Any]:
            [7, 0]])
     """
     odd = [(0, size % 2) for size in values.shape[-2:]]
-    rows, columns = (np.s_[..., 0::2, :], np.s_[..., 1::2, :]), (np.s_[..., 0::2], np.s_[..., 1::2])
     sides = [(0, 0)] * (values.ndim - 2) + odd
     if labels or values.dtype.kind == "b":
-        padded = np.pad(values, sides, mode="edge")
-        tall = np.maximum(padded[rows[0]], padded[rows[1]])
-        return np.maximum(tall[columns[0]], tall[columns[1]])
+        return _of_four(np.maximum, np.pad(values, sides, mode="edge"))
     if values.dtype.kind != "f":
         padded = np.pad(values, sides, mode="edge").astype(np.float64)
-        return np.rint(_of_four(padded) / 4).astype(values.dtype)
+        return np.rint(_of_four(np.add, padded) / 4).astype(values.dtype)
     padded = np.pad(values, sides, constant_values=np.nan)
     known = ~np.isnan(padded)
-    counts = _of_four(known.astype(np.float32))
-    sums = _of_four(np.where(known, padded, 0).astype(np.promote_types(values.dtype, np.float32)))
+    counts = _of_four(np.add, known.astype(np.float32))
+    exact = np.promote_types(values.dtype, np.float32)
+    sums = _of_four(np.add, np.where(known, padded, 0).astype(exact))
     with np.errstate(invalid="ignore"):
         return (sums / counts).astype(values.dtype)
 
 
-def _of_four(values: NDArray[Any]) -> NDArray[Any]:
-    tall = values[..., 0::2, :] + values[..., 1::2, :]
-    return np.asarray(tall[..., 0::2] + tall[..., 1::2])
+def _of_four(joined: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+    tall = joined(values[..., 0::2, :], values[..., 1::2, :])
+    return np.asarray(joined(tall[..., 0::2], tall[..., 1::2]))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.io.lazy_arrays import block_side, lazy_array
-from napari_defocus.io.pictures import UnreadablePicture, reading_failure
+from napari_defocus.io.pictures import reading
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -28,20 +28,12 @@ RGB_COLORS = ("FF0000", "00FF00", "0000FF")
 
 @dataclass(frozen=True, eq=False)
 class OmeZarrPicture:
-    """What an OME-Zarr store holds.
+    """What an OME-Zarr store holds: the levels of a pyramid, the largest first, not yet read.
 
-    Attributes
-    ----------
-    levels : tuple of dask.array.Array
-        The pyramid, the largest first; read when computed.
-    axes : str
-        A letter an axis; y and x are the last two.
-    pixel_size, units : dict
-        Of the largest level, for the axes that have them, such as 0.25 and "micrometer".
-    attributes : dict
-        What a store of `new_ome_zarr` says made it; empty for others.
-    channel_colors : tuple of str
-        Colours of the channels as the store gives them, such as "FF0000"; empty if it does not.
+    There is a letter an axis, y and x are the last two. Pixel size and units, such as 0.25 and
+    "micrometer", are those of the largest level, where they are known. The attributes are what a
+    store of `new_ome_zarr` says made it, the colours of channels such as "FF0000"; both are empty
+    if a store does not say.
     """
 
     levels: tuple[da.Array, ...]
@@ -64,22 +56,9 @@ def is_zarr(path: str | os.PathLike[str]) -> bool:
 def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
     """Read an OME-Zarr store of version 0.4 or 0.5, lazily: its first multiscale picture.
 
-    A store that bioformats2raw made of one picture is read as that picture.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder of the store.
-
-    Returns
-    -------
-    OmeZarrPicture
-
-    Raises
-    ------
-    UnreadablePicture
-        If there is no such folder, it is no OME-Zarr store, holds a plate or several pictures
-        (the message says which folder to give), has no real numbers, or no axes y and x.
+    A store that bioformats2raw made of one picture is read as that picture. UnreadablePicture is
+    raised if there is no such folder, it is no OME-Zarr store, holds a plate or several pictures
+    (the message says which folder to give), has no real numbers, or no axes y and x.
 
     Examples
     --------
@@ -96,11 +75,8 @@ def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
     ('yx', 0.25, 'micrometer', {'settings': {'window': 41}})
     """
     need_large_extra()
-    try:
+    with reading(path):
         return _picture(Path(path).absolute())
-    # Zarr and damaged metadata raise anything.
-    except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
 
 
 def _picture(path: Path) -> OmeZarrPicture:
@@ -137,7 +113,7 @@ def _opened(path: Path) -> Any:
         raise ValueError("there is no such folder")
     if not path.is_dir():
         raise ValueError("it is no folder, as OME-Zarr stores are")
-    if any((path / name).is_file() for name in (".zarray",)) or _is_array(path):
+    if (path / ".zarray").is_file() or _is_array(path):
         raise ValueError("it is one level of a picture; give the folder that it is in")
     try:
         return zarr.open_group(path, mode="r")
@@ -196,15 +172,9 @@ def _check_arrays(arrays: list[Any], letters: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class StoredArray:
-    """An array of a store whose damaged chunks are errors that name the store.
+    """An array of Zarr whose damaged chunks are errors that name the store, at `path`.
 
-    Attributes
-    ----------
-    array : zarr.Array
-    path : Path
-        Of the store.
-    owner : object
-        Kept while anything may be read from the array.
+    `owner` is kept while anything may be read from the array.
     """
 
     array: Any
@@ -223,12 +193,8 @@ class StoredArray:
 
     def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
         """Read a region; UnreadablePicture if a chunk of it is damaged."""
-        # Codecs raise anything.
-        try:
+        with reading(self.path):
             return np.asarray(self.array[region])
-        except Exception as error:
-            reason = reading_failure(error)
-            raise UnreadablePicture(f"cannot read {self.path}: {reason}") from error
 
 
 def _lazy(array: Any, letters: str, path: Path) -> da.Array:

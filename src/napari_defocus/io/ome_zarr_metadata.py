@@ -67,21 +67,10 @@ def description(
     labels: bool,
     rgb_of: np.dtype[Any] | None = None,
 ) -> dict[str, Any]:
-    """Return what stands under the key "ome" of a store.
+    """Return what stands under the key "ome" of a store, for axes as `new_ome_zarr` takes them.
 
-    Parameters
-    ----------
-    axes : str
-        As given to `new_ome_zarr`.
-    pixel_size, units : mapping
-    name : str
-        Of the picture.
-    levels : int
-        How many there are, each half as high and wide as the one before.
-    labels : bool
-        Whether the values are names or a mask.
-    rgb_of : numpy.dtype, optional
-        Of the values, if they are red, green and blue.
+    Each of the levels is half as high and wide as the one before. `labels` are names or a mask;
+    `rgb_of` is the dtype of values that are red, green and blue.
     """
     about: dict[str, Any] = {
         "version": VERSION,
@@ -109,18 +98,12 @@ def _multiscale(
     base = [float(pixel_size.get(letter, 1.0)) for letter in given]
     datasets = []
     for level in range(levels):
-        zooms = [2.0**level if name in "yx" else 1.0 for name in names]
-        datasets.append(
-            Dataset.build(
-                path=str(level),
-                scale=[step * zoom for step, zoom in zip(base, zooms, strict=True)],
-                # The middle of a coarse pixel is between those of the fine ones.
-                translation=[step * (zoom - 1) / 2 for step, zoom in zip(base, zooms, strict=True)],
-            )
-        )
+        scale = [s * 2**level if n in "yx" else s for s, n in zip(base, names, strict=True)]
+        # The middle of a coarse pixel is between those of the fine ones.
+        middle = [(coarse - fine) / 2 for coarse, fine in zip(scale, base, strict=True)]
+        datasets.append(Dataset.build(path=str(level), scale=scale, translation=middle))
     model = Multiscale(axes=described, datasets=tuple(datasets), name=name)
-    plain: dict[str, Any] = model.model_dump(mode="json", exclude_none=True)
-    return plain
+    return dict(model.model_dump(mode="json", exclude_none=True))
 
 
 def _color_channel(number: int, dtype: np.dtype[Any]) -> dict[str, Any]:

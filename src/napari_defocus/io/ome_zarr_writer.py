@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from types import EllipsisType
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.writing import NeedsForce, UnwritableResult
+from napari_defocus.io.lazy_arrays import regions
 from napari_defocus.io.multiscale import halve_into, level_shapes
 from napari_defocus.io.ome_zarr import OUR_KEY, is_zarr
 from napari_defocus.io.ome_zarr_metadata import (
@@ -26,11 +27,12 @@ from napari_defocus.io.ome_zarr_metadata import (
     stored_names,
     stored_order,
 )
+from napari_defocus.io.provenance import plain_json
 
 TILE = 512
 """px of a chunk's side."""
 
-Region = tuple[slice | int, ...]
+Region = tuple[slice | int | EllipsisType, ...]
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class OmeZarrWriter:
         Parameters
         ----------
         region : tuple of slice or int
-            In the order of `axes`; whole tiles.
+            In the order of `axes`; whole tiles. A last `...` stands for all of the other axes.
         values : array_like
             Of the region's shape.
 
@@ -84,7 +86,8 @@ class OmeZarrWriter:
         parts = self._slices(region)
         shape = tuple(part.stop - part.start for part in parts)
         given = np.asarray(values, self.dtype)
-        kept = tuple(n for n, key in zip(shape, region, strict=True) if isinstance(key, slice))
+        keys = zip(shape, self._keys(region), strict=True)
+        kept = tuple(n for n, key in keys if isinstance(key, slice))
         if given.shape not in (shape, kept):
             raise ValueError(f"values have the shape {given.shape}; the region has {kept}")
         order = stored_order(self.axes)
@@ -97,9 +100,15 @@ class OmeZarrWriter:
 
     def has_region(self, region: Region) -> bool:
         """Return whether a region was written, here or before an interruption."""
-        parts = self._slices(region)
-        chunks = _chunk_paths(self.part / "0", parts, self.axes, self.tile)
-        return all(chunk.is_file() for chunk in chunks)
+        parts = zip(self._slices(region), self._sides, strict=True)
+        numbers = [range(part.start // side, -(-part.stop // side)) for part, side in parts]
+        level = self.part / "0" / "c"
+        chunks = product(*(map(str, numbers[i]) for i in stored_order(self.axes)))
+        return all(level.joinpath(*chunk).is_file() for chunk in chunks)
+
+    def missing(self) -> list[tuple[slice, ...]]:
+        """Return the tiles that were not written."""
+        return [tile for tile in regions(self.shape, self._sides) if not self.has_region(tile)]
 
     def finish(self) -> Path:
         """Make the pyramid, say what the store is, and give it its name.
@@ -116,11 +125,9 @@ class OmeZarrWriter:
         UnwritableResult
             If there is something at the path by now and `force` was not given.
         """
-        everything = tuple(slice(0, size) for size in self.shape)
-        chunks = list(_chunk_paths(self.part / "0", everything, self.axes, self.tile))
-        missing = sum(not chunk.is_file() for chunk in chunks)
-        if missing:
-            raise ValueError(f"{missing} of {len(chunks)} tiles of {self.path} were not written")
+        if missing := len(self.missing()):
+            tiles = sum(1 for _ in regions(self.shape, self._sides))
+            raise ValueError(f"{missing} of {tiles} tiles of {self.path} were not written")
         levels = _make_pyramid(self)
         _say_what_it_is(self, levels)
         for left in self.part.rglob("*.partial"):
@@ -128,15 +135,25 @@ class OmeZarrWriter:
         _give_name(self.part, self.path, force=self.force)
         return self.path
 
+    @property
+    def _sides(self) -> tuple[int, ...]:
+        """Of a chunk, in the order of `axes`."""
+        return tuple(self.tile if letter in "yx" else 1 for letter in self.axes)
+
+    def _keys(self, region: Region) -> tuple[slice | int, ...]:
+        keys = tuple(key for key in region if not isinstance(key, EllipsisType))
+        if region[-1:] == (...,):
+            keys += (slice(None),) * (len(self.shape) - len(keys))
+        if len(keys) != len(self.shape):
+            raise ValueError(f"region has {len(keys)} axes; the store has {len(self.shape)}")
+        return keys
+
     def _slices(self, region: Region) -> tuple[slice, ...]:
-        if len(region) != len(self.shape):
-            raise ValueError(f"region has {len(region)} axes; the store has {len(self.shape)}")
-        given = zip(region, self.shape, self.axes, strict=True)
+        given = zip(self._keys(region), self.shape, self.axes, self._sides, strict=True)
         return tuple(self._slice(*what) for what in given)
 
-    def _slice(self, key: slice | int, size: int, letter: str) -> slice:
+    def _slice(self, key: slice | int, size: int, letter: str, chunk: int) -> slice:
         start, stop = (key, key + 1) if not isinstance(key, slice) else key.indices(size)[:2]
-        chunk = self.tile if letter in "yx" else 1
         if not 0 <= start < stop <= size:
             raise ValueError(f"region is {key} along {letter}; it takes a part of 0 to {size}")
         if start % chunk or (stop % chunk and stop != size):
@@ -217,31 +234,35 @@ def new_ome_zarr(
     """
     need_large_extra()
     target = Path(path).absolute()
-    about = _checked_attributes(attributes)
+    about = plain_json("attributes", attributes)
     kind = np.dtype(dtype)
     check_form(shape, kind, axes, tile)
     check_named_axes("pixel_size", pixel_size, axes)
     check_named_axes("units", units, axes)
     _put_back(target)
     _check_target(target, force)
-    part = target.with_name(f".{target.name}.part")
-    sizes = tuple(int(size) for size in shape)
     writer = OmeZarrWriter(
-        target,
-        part,
-        sizes,
-        kind.name,
-        axes,
-        dict(pixel_size or {}),
-        dict(units or {}),
-        tile,
-        labels,
-        force,
+        path=target,
+        part=part_of(target),
+        shape=tuple(int(size) for size in shape),
+        dtype=kind.name,
+        axes=axes,
+        pixel_size=dict(pixel_size or {}),
+        units=dict(units or {}),
+        tile=tile,
+        labels=labels,
+        force=force,
     )
     if not (resume and _can_go_on(writer, about)):
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(writer.part, ignore_errors=True)
         _create(writer, about)
     return writer
+
+
+def whole_tiles(shape: tuple[int, int], block: int, tile: int = TILE) -> list[tuple[slice, slice]]:
+    """Return regions of a plane, about as large as blocks that are computed, in whole tiles."""
+    side = tile * max(1, block // tile)
+    return [(rows, columns) for rows, columns in regions(shape, (side, side))]
 
 
 def write_region(
@@ -259,14 +280,6 @@ def write_region(
 def _array(group: Any, name: str) -> Any:
     # Chunks that hold nothing but zeros are files, too: a file says that a region was written.
     return group[name].with_config({"write_empty_chunks": True})
-
-
-def _checked_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    try:
-        about: dict[str, Any] = json.loads(json.dumps(dict(attributes)))
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"attributes takes what JSON can hold: {error}") from error
-    return about
 
 
 def _check_target(path: Path, force: bool) -> None:
@@ -297,12 +310,8 @@ def _can_go_on(writer: OmeZarrWriter, about: dict[str, Any]) -> bool:
 def _stored_form(writer: OmeZarrWriter) -> tuple[Any, ...]:
     order = stored_order(writer.axes)
     shape = tuple(writer.shape[i] for i in order)
-    names = stored_names(writer.axes)
-    chunks = tuple(
-        min(writer.tile, size) if name in "yx" else 1
-        for name, size in zip(names, shape, strict=True)
-    )
-    return shape, np.dtype(writer.dtype), chunks, names
+    chunks = tuple(min(writer._sides[i], writer.shape[i]) for i in order)
+    return shape, np.dtype(writer.dtype), chunks, stored_names(writer.axes)
 
 
 def _create(writer: OmeZarrWriter, about: dict[str, Any]) -> None:
@@ -337,17 +346,6 @@ def _create_level(
     return _array(group, name)
 
 
-def _chunk_paths(level: Path, region: tuple[slice, ...], axes: str, tile: int) -> Iterator[Path]:
-    """Yield the files that hold a region, given in the order of `axes`."""
-    sides = [tile if letter in "yx" else 1 for letter in axes]
-    numbers = [
-        range(part.start // side, -(-part.stop // side))
-        for part, side in zip(region, sides, strict=True)
-    ]
-    for chunk in product(*(numbers[i] for i in stored_order(axes))):
-        yield level.joinpath("c", *map(str, chunk))
-
-
 def _make_pyramid(writer: OmeZarrWriter) -> int:
     """Write the smaller levels, a chunk at a time; return how many there are with the largest."""
     import zarr
@@ -379,7 +377,13 @@ def _say_what_it_is(writer: OmeZarrWriter, levels: int) -> None:
     )
 
 
-def _aside(path: Path) -> Path:
+def part_of(path: Path) -> Path:
+    """Return where a store is until it is whole."""
+    return path.with_name(f".{path.name}.part")
+
+
+def aside(path: Path) -> Path:
+    """Return where a store is while another one takes its place."""
     return path.with_name(f".{path.name}.old")
 
 
@@ -387,16 +391,16 @@ def _give_name(part: Path, path: Path, *, force: bool) -> None:
     """Put a finished store at its place; at every moment the old or the new one is whole."""
     _check_target(path, force)
     if path.exists():
-        path.rename(_aside(path))
+        path.rename(aside(path))
     part.rename(path)
-    shutil.rmtree(_aside(path), ignore_errors=True)
+    shutil.rmtree(aside(path), ignore_errors=True)
 
 
 def _put_back(path: Path) -> None:
     """Undo, or clean up after, a renaming that was killed half-way."""
-    if not _aside(path).exists():
+    if not aside(path).exists():
         return
     if path.exists():
-        shutil.rmtree(_aside(path))
+        shutil.rmtree(aside(path))
     else:
-        _aside(path).rename(path)
+        aside(path).rename(path)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +16,13 @@ from numpy.typing import NDArray
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
-from napari_defocus.io.picture_files import find_sources, naturally
+from napari_defocus.io.picture_files import Inputs, as_paths, find_sources, naturally
 from napari_defocus.io.pictures import (
-    TIFF_STARTS,
     UnreadablePicture,
+    is_tiff,
     picture_form,
     read_picture,
-    reading_failure,
+    reading,
 )
 from napari_defocus.io.provenance import SHARPEST_PIXELS, mark_of
 from napari_defocus.io.tiff_reader import open_tiff
@@ -85,22 +86,18 @@ class Source:
         IndexError
             If there is no such plane.
         """
-        if len(index) != len(self.plane_axes):
-            raise IndexError(f"index is {index}; the planes of {self.path} are {self._extent()}")
-        for at, size in zip(index, self.plane_shape, strict=True):
-            if not 0 <= at < size:
-                raise IndexError(
-                    f"index is {index}; the planes of {self.path} are {self._extent()}"
-                )
+        sizes = dict(zip(self.plane_axes, self.plane_shape, strict=True))
+        within = map(operator.contains, map(range, sizes.values()), index)
+        if len(index) != len(sizes) or not all(within):
+            extent = ", ".join(f"{axis} 0 to {size - 1}" for axis, size in sizes.items())
+            raise IndexError(
+                f"index is {index}; the planes of {self.path} are {extent or '() alone'}"
+            )
         return self.data[index]
 
     def label_of(self, index: tuple[int, ...]) -> str:
         """Return a plane's index in words, such as "t=3 z=12"; "" for a single picture."""
         return " ".join(f"{a}={at}" for a, at in zip(self.plane_axes, index, strict=True))
-
-    def _extent(self) -> str:
-        sizes = zip(self.plane_axes, self.plane_shape, strict=True)
-        return ", ".join(f"{axis} 0 to {size - 1}" for axis, size in sizes) or "() alone"
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,24 +161,13 @@ def open_source(path: str | os.PathLike[str]) -> Source:
         if not is_zarr(path):
             raise UnreadablePicture(f"cannot read {path}: it is a folder, and no OME-Zarr store")
         return _zarr_source(path)
-    if not _is_tiff(path):
+    with reading(path):
+        if is_tiff(path):
+            data, axes, (pixel_size, units) = open_tiff(path)
+            return Source(path, data, axes, pixel_size, units)
         reader = _Photograph(path.absolute(), *picture_form(path))
         axes = "yxs"[: len(reader.shape)]
         return Source(path, lazy_array(reader, reader.shape), axes, {}, {})
-    # Damaged TIFFs raise whatever their bytes led the decoder into.
-    try:
-        data, axes, (pixel_size, units) = open_tiff(path)
-    except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
-    return Source(path, data, axes, pixel_size, units)
-
-
-def _is_tiff(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(4).startswith(TIFF_STARTS)
-    except OSError as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
 
 
 def _zarr_source(path: Path) -> Source:
@@ -200,7 +186,7 @@ def _zarr_source(path: Path) -> Source:
 # Pictures that are planes of one stack.
 
 
-def open_stack(inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str]) -> Source:
+def open_stack(inputs: Inputs) -> Source:
     """Open a stack: one file, or pictures of one plane that are its planes; no pixels are read.
 
     Parameters
@@ -234,7 +220,7 @@ def open_stack(inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str]
     ('zyx', [1, 2, 10])
     """
     need_large_extra()
-    given = [Path(one) for one in ([inputs] if isinstance(inputs, str | os.PathLike) else inputs)]
+    given = as_paths(inputs)
     files = sorted(find_sources(given), key=naturally)
     if len(given) == 1 and files == given:
         return open_source(given[0])

@@ -30,17 +30,16 @@ _TOLD = {
 _WILD = re.compile(r"[*?\[]")
 
 
+Inputs = Iterable[str | os.PathLike[str]] | str | os.PathLike[str]
+"""Files, folders and patterns, as `find_sources` takes them, or one of them."""
+
+
 @dataclass(frozen=True, eq=False)
 class PictureFiles:
-    """What files, folders and patterns name.
+    """What files, folders and patterns name: pictures, each once, in their order.
 
-    Attributes
-    ----------
-    pictures : list of Path
-        Each once, in their order.
-    left_out : dict of str to int
-        How many others there are, by their endings; `FOLDER` and `RESULT` for folders that are
-        not looked into, and for what this package made.
+    It is counted how many others there are, by their endings; `FOLDER` and `RESULT` for folders
+    that are not looked into, and for what this package made.
     """
 
     pictures: list[Path]
@@ -49,10 +48,7 @@ class PictureFiles:
 
 @dataclass(eq=False)
 class _Search:
-    """A search, and what it left out.
-
-    Whatever is in the folder `besides` is neither found nor counted.
-    """
+    """A search, and what it left out; of what is in the folder `besides`, nothing is counted."""
 
     besides: Path | None
     others: dict[Path, str] = field(default_factory=dict)
@@ -79,29 +75,27 @@ class _Search:
         return dict(sorted(counted.items(), key=lambda item: (-item[1], item[0])))
 
 
-def look_for_pictures(
-    inputs: Iterable[str | os.PathLike[str]] | str | os.PathLike[str],
-    besides: Path | None = None,
-) -> PictureFiles:
+def as_paths(inputs: Inputs) -> list[Path]:
+    """Return what is given as paths; TypeError if it is none."""
+    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    if not isinstance(given, Iterable):
+        raise TypeError(f"inputs is {type(inputs).__name__}; it takes paths")
+    given = list(given)
+    for one in given:
+        if not isinstance(one, str | os.PathLike):
+            raise TypeError(f"inputs holds a {type(one).__name__}; it takes paths")
+    return [Path(one) for one in given]
+
+
+def look_for_pictures(inputs: Inputs, besides: Path | None = None) -> PictureFiles:
     """Return the pictures that files, folders and patterns name, and what is left out.
 
-    Parameters
-    ----------
-    inputs : path-like, or iterable of path-like
-        As `find_sources` takes them.
-    besides : Path, optional
-        A folder, such as that of results, of which nothing is told.
-
-    Raises
-    ------
-    UnreadablePicture
-        As `find_sources`.
+    Nothing is told of what is in the folder `besides`, such as that of results.
     """
-    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     search = _Search(None if besides is None else besides.resolve())
     found: dict[Path, Path] = {}
-    for one in given:
-        for path in _named_by(Path(one), search):
+    for one in as_paths(inputs):
+        for path in _named_by(one, search):
             found.setdefault(path.resolve(), path)
     return PictureFiles(list(found.values()), search.counts(found))
 
@@ -159,15 +153,21 @@ def _named_by(path: Path, search: _Search) -> list[Path]:
     if path.is_file() or is_zarr(path):
         return [_checked(path)]
     if path.is_dir():
-        return _in_folder(path, search)
-    if not _WILD.search(str(path)):
+        entries, none = _entries(path), "the folder has no pictures"
+        for folder in entries:
+            if folder.is_dir() and not is_zarr(folder):
+                search.leave_out(folder, FOLDER)
+    elif _WILD.search(str(path)):
+        pattern = path.relative_to(path.anchor).parts if path.anchor else path.parts
+        entries, none = [*_matches(Path(path.anchor), pattern)], "no picture matches"
+    else:
         raise UnreadablePicture(f"cannot read {path}: there is no such file")
-    pattern = path.relative_to(path.anchor).parts if path.anchor else path.parts
-    entries = dict.fromkeys(_matches(Path(path.anchor), pattern))
-    matches = [entry for entry in entries if search.is_picture(entry)]
-    if not matches:
-        raise UnreadablePicture(f"cannot read {path}: no picture matches {_kinds(search)}")
-    return sorted(matches, key=naturally)
+    pictures = [entry for entry in dict.fromkeys(entries) if search.is_picture(entry)]
+    if not pictures:
+        left_out = told_left_out(search.counts([]))
+        told = f"({', '.join(PICTURE_SUFFIXES)})" + (f"; left out: {left_out}" if left_out else "")
+        raise UnreadablePicture(f"cannot read {path}: {none} {told}")
+    return sorted(pictures, key=naturally)
 
 
 def _checked(path: Path) -> Path:
@@ -180,25 +180,6 @@ def _checked(path: Path) -> Path:
             "and patterns in quotation marks, leave results out"
         )
     return path
-
-
-def _in_folder(folder: Path, search: _Search) -> list[Path]:
-    entries = _entries(folder)
-    pictures = [entry for entry in entries if search.is_picture(entry)]
-    for entry in entries:
-        if entry.is_dir() and not is_zarr(entry):
-            search.leave_out(entry, FOLDER)
-    if not pictures:
-        raise UnreadablePicture(
-            f"cannot read {folder}: the folder has no pictures {_kinds(search)}"
-        )
-    return pictures
-
-
-def _kinds(search: _Search) -> str:
-    left_out = search.counts([])
-    told = f"; left out: {told_left_out(left_out)}" if left_out else ""
-    return f"({', '.join(PICTURE_SUFFIXES)}){told}"
 
 
 def _matches(folder: Path, pattern: tuple[str, ...]) -> Iterator[Path]:
@@ -230,9 +211,6 @@ def _folders(folder: Path) -> list[Path]:
 
 def naturally(path: Path) -> list[tuple[list[tuple[int, str]], str]]:
     """Return a key that sorts numbers in names by their value."""
-    return [(_words(part), part) for part in path.parts]
-
-
-def _words(name: str) -> list[tuple[int, str]]:
-    pieces = re.split(r"(\d+)", name.lower())
-    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in pieces]
+    words = (re.split(r"(\d+)", part.lower()) for part in path.parts)
+    numbers = ([(int(w), "") if w.isdecimal() else (-1, w) for w in each] for each in words)
+    return list(zip(numbers, path.parts, strict=True))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from struct import unpack
 from typing import Any
@@ -22,7 +23,6 @@ TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_BIT_DEPTH_AT = 24
 
-
 _OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError)
 """What decoders raise that did not expect what they met; it tells a reader of files little."""
 
@@ -38,6 +38,17 @@ class UnreadablePicture(ValueError):
     ...     print(error)
     cannot read nowhere.png: there is no such file
     """
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn whatever damaged bytes lead decoders into to an UnreadablePicture that says why."""
+    try:
+        yield
+    except UnreadablePicture:
+        raise
+    except Exception as error:
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
 
 
 def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
@@ -73,13 +84,9 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     ...     read_picture(file).shape
     (4, 5)
     """
-    path = Path(path)
-    try:
-        picture, orientation = _decode(path)
+    with reading(path):
+        picture, orientation = _decode(Path(path))
         return np.ascontiguousarray(upright(picture, orientation))
-    # Decoders raise whatever the damaged bytes led them into: struct.error, SyntaxError, ...
-    except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
 
 
 def told_choice_in(path: str | os.PathLike[str]) -> str:
@@ -90,90 +97,69 @@ def told_choice_in(path: str | os.PathLike[str]) -> str:
     import tifffile
 
     # What is wrong with a file is told when it is read.
-    with suppress(Exception), Path(path).open("rb") as file:
-        if file.read(4).startswith(TIFF_STARTS):
+    with suppress(Exception):
+        if is_tiff(Path(path)):
             with tifffile.TiffFile(path) as tiff:
                 return told_choice(tiff)
     return ""
 
 
 def picture_form(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return the shape and dtype that `read_picture` gives; of PNG alone, pixels are decoded.
+    """Return the shape and dtype that `read_picture` gives, but of no TIFF.
 
-    Parameters
-    ----------
-    path : Path
-        As `read_picture` takes it, but no TIFF.
-
-    Returns
-    -------
-    shape : tuple of int
-    dtype : numpy.dtype
-
-    Raises
-    ------
-    UnreadablePicture
-        As `read_picture`; damage in the pixels may be found only when they are read.
+    Pixels are decoded of PNG with 16 bits alone: damage may be found only when they are read.
     """
-    try:
-        with path.open("rb") as file:
-            start = file.read(PNG_BIT_DEPTH_AT + 1)
-        if start.startswith(PNG_START) and start[PNG_BIT_DEPTH_AT] == 16:
+    with reading(path):
+        if _is_deep_png(path):
             picture = read_picture(path)
             return picture.shape, picture.dtype
-        with Image.open(path, formats=PILLOW_FORMATS) as image:
-            orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
-            _refuse_animation(image)
+        with _opened(path) as (image, orientation):
             width, height = image.size[::-1] if orientation in (5, 6, 7, 8) else image.size
-            return (height, width, *_pillow_channels(image)), _pillow_dtype(image)
-    except UnreadablePicture:
-        raise
-    except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+            mode = _mode(image)
+            channels = {"1": (), "L": (), "RGB": (3,), "RGBA": (4,)}[mode]
+            return (height, width, *channels), np.dtype(bool if mode == "1" else np.uint8)
 
 
-def _pillow_channels(image: Image.Image) -> tuple[int, ...]:
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Image.Image, int]]:
+    """Lend a picture of which no pixels are decoded yet, and its orientation."""
+    with Image.open(path, formats=PILLOW_FORMATS) as image:
+        orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        if getattr(image, "is_animated", False) and image.format != "MPO":
+            raise ValueError("it is animated; single pictures are read")
+        yield image, orientation
+
+
+def _mode(image: Image.Image) -> str:
+    """Return in which of Pillow's modes a picture is read."""
     if image.has_transparency_data:
-        return (4,)
-    return () if image.mode in ("1", "L") else (3,)
+        return "RGBA"
+    return image.mode if image.mode in ("1", "L") else "RGB"
 
 
-def _pillow_dtype(image: Image.Image) -> np.dtype[Any]:
-    grey = image.mode == "1" and not image.has_transparency_data
-    return np.dtype(bool if grey else np.uint8)
+def is_tiff(path: Path) -> bool:
+    """Return whether a file begins as a TIFF does."""
+    with path.open("rb") as file:
+        return file.read(4).startswith(TIFF_STARTS)
 
 
-def _refuse_animation(image: Image.Image) -> None:
-    if getattr(image, "is_animated", False) and image.format != "MPO":
-        raise ValueError("it is animated; single pictures are read")
+def _is_deep_png(path: Path) -> bool:
+    with path.open("rb") as file:
+        start = file.read(PNG_BIT_DEPTH_AT + 1)
+    return start.startswith(PNG_START) and start[PNG_BIT_DEPTH_AT] == 16
 
 
 def _decode(path: Path) -> tuple[NDArray[Any], int]:
-    with path.open("rb") as file:
-        start = file.read(PNG_BIT_DEPTH_AT + 1)
-    if start.startswith(TIFF_STARTS):
+    if is_tiff(path):
         return _decode_tiff(path)
-    with Image.open(path, formats=PILLOW_FORMATS) as image:
-        orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
-        _refuse_animation(image)
+    with _opened(path) as (image, orientation):
         # Pillow cuts 16-bit colour down to 8 bits.
-        if start.startswith(PNG_START) and start[PNG_BIT_DEPTH_AT] == 16:
-            return _decode_deep_png(path), orientation
-        return _pillow_pixels(image), orientation
+        if _is_deep_png(path):
+            import imagecodecs
 
-
-def _decode_deep_png(path: Path) -> NDArray[Any]:
-    import imagecodecs
-
-    return _opacity_last(imagecodecs.png_decode(path.read_bytes()))
-
-
-def _pillow_pixels(image: Image.Image) -> NDArray[Any]:
-    if image.has_transparency_data:
-        image = image.convert("RGBA")
-    elif image.mode not in ("1", "L", "RGB"):
-        image = image.convert("RGB")
-    return np.asarray(image)
+            return _opacity_last(imagecodecs.png_decode(path.read_bytes())), orientation
+        mode = _mode(image)
+        return np.asarray(image if image.mode == mode else image.convert(mode)), orientation
 
 
 def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:

@@ -6,9 +6,12 @@ import json
 import os
 import xml.etree.ElementTree as ElementTree
 import zlib
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
+
+from PIL import Image
 
 import napari_defocus
 from napari_defocus.io.ome_zarr import OUR_KEY, is_zarr
@@ -22,29 +25,25 @@ SHARPEST_PIXELS = "picture of the sharpest pixels"
 _PICTURES = (ALL_IN_FOCUS, REFOCUSED, SHARPEST_PIXELS, "all in focus", "refocused")
 """Quantities of results that can be measured as any other picture; the last two are napari's."""
 
-_LONGEST_TEXT = 2**16
-"""Bytes of a text in a PNG that are read."""
+
+def signature() -> dict[str, str]:
+    """Return what every result says of what made it."""
+    return {"software": SOFTWARE, "version": napari_defocus.__version__}
 
 
 def mark_of(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what a file or a store says of itself if this package made it; else nothing.
+    """Return what any file or folder says of itself if this package made it; else nothing.
 
-    Parameters
-    ----------
-    path : path-like
-        Any file or folder. No pixels are read.
-
-    Returns
-    -------
-    dict
-        Among others `quantity`, what it holds, such as "defocus blur radius".
+    That is, among others, the `quantity` that it holds, such as "defocus blur radius". No pixels
+    are read.
 
     Examples
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder, "mask.png")
-    ...     _ = file.write_bytes(marked_png(_SMALLEST_PNG, "in-focus mask"))
+    ...     Image.new("L", (4, 5)).save(file)
+    ...     _ = file.write_bytes(marked_png(file.read_bytes(), "in-focus mask"))
     ...     mark_of(file)["quantity"], mark_of(folder)
     ('in-focus mask', {})
     """
@@ -55,8 +54,9 @@ def mark_of(path: str | os.PathLike[str]) -> dict[str, Any]:
             return _mark_in_store(place) if is_zarr(place) else {}
         with place.open("rb") as file:
             start = file.read(len(PNG_START))
-            if start == PNG_START:
-                return _mark_in_png(file)
+        if start == PNG_START:
+            with Image.open(place, formats=("PNG",)) as image:
+                return said_by(image.info.get("Description", ""))
         if start.startswith(TIFF_STARTS):
             return mark_in_tiff(place)
     return {}
@@ -67,13 +67,23 @@ def is_picture(mark: dict[str, Any]) -> bool:
     return not mark or mark.get("quantity") in _PICTURES
 
 
-def mark_in_tiff(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what a TIFF of this package says of itself, of one plane or many; else nothing."""
+def mark_in_tiff(path: str | os.PathLike[str], *, ome: bool = True) -> dict[str, Any]:
+    """Return what a TIFF of this package says of itself, if wanted in OME-XML too; else nothing."""
     import tifffile
 
     with suppress(Exception), tifffile.TiffFile(path) as tiff:
-        return said_by(tiff.pages.first.description) or _said_by_ome(tiff.ome_metadata or "")
+        said = said_by(tiff.pages.first.description)
+        return said or _said_by_ome((ome and tiff.ome_metadata) or "")
     return {}
+
+
+def plain_json(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is read again of a mapping that is written as JSON; TypeError if it cannot be."""
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(dict(value)))
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} takes what JSON can hold: {error}") from error
+    return plain
 
 
 def said_by(text: str) -> dict[str, Any]:
@@ -100,18 +110,9 @@ def _mark_in_store(folder: Path) -> dict[str, Any]:
 
 
 def marked_png(content: bytes, quantity: str) -> bytes:
-    """Return a PNG file that says what it holds, and that this package made it.
-
-    Parameters
-    ----------
-    content : bytes
-        A PNG file.
-    quantity : str
-        What it holds, such as "in-focus mask".
-    """
-    version = napari_defocus.__version__
-    about = {"quantity": quantity, "software": SOFTWARE, "version": version}
-    texts = {"Software": f"{SOFTWARE} {version}", "Description": json.dumps(about)}
+    """Return a PNG file that says what it holds, such as "in-focus mask", and what made it."""
+    about = {"quantity": quantity, **signature()}
+    texts = {"Software": " ".join(signature().values()), "Description": json.dumps(about)}
     after_header = len(PNG_START) + 25
     chunks = b"".join(
         _chunk(b"tEXt", f"{keyword}\0{text}".encode("latin-1")) for keyword, text in texts.items()
@@ -122,26 +123,3 @@ def marked_png(content: bytes, quantity: str) -> bytes:
 def _chunk(kind: bytes, body: bytes) -> bytes:
     checked = kind + body
     return len(body).to_bytes(4, "big") + checked + zlib.crc32(checked).to_bytes(4, "big")
-
-
-def _mark_in_png(file: BinaryIO) -> dict[str, Any]:
-    """Return the mark that stands in a PNG file before its pixels."""
-    while True:
-        length, kind = int.from_bytes(file.read(4), "big"), file.read(4)
-        if kind in (b"IDAT", b"IEND", b""):
-            return {}
-        if kind != b"tEXt" or length > _LONGEST_TEXT:
-            file.seek(length + 4, os.SEEK_CUR)
-            continue
-        keyword, _, text = file.read(length).partition(b"\0")
-        file.seek(4, os.SEEK_CUR)
-        if keyword == b"Description" and (found := said_by(text.decode("latin-1"))):
-            return found
-
-
-_SMALLEST_PNG = (
-    PNG_START
-    + _chunk(b"IHDR", bytes([0, 0, 0, 1, 0, 0, 0, 1, 8, 0, 0, 0, 0]))
-    + _chunk(b"IDAT", zlib.compress(b"\0\0"))
-    + _chunk(b"IEND", b"")
-)

@@ -6,30 +6,28 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from typing import Any
 
-UNIT_OF_SYMBOL = {
-    "å": "angstrom",
-    "nm": "nanometer",
-    "um": "micrometer",
-    "micron": "micrometer",
-    "microns": "micrometer",
-    "micrometer": "micrometer",
-    "mm": "millimeter",
-    "cm": "centimeter",
-    "m": "meter",
-    "meter": "meter",
-    "inch": "inch",
-    "in": "inch",
-    "us": "microsecond",
-    "ms": "millisecond",
-    "msec": "millisecond",
-    "s": "second",
-    "sec": "second",
-    "min": "minute",
-    "h": "hour",
-    "hr": "hour",
-    "d": "day",
+SYMBOLS_OF_UNIT = {
+    "angstrom": ("Å",),
+    "nanometer": ("nm",),
+    "micrometer": ("µm", "micron", "microns", "micrometer"),
+    "millimeter": ("mm",),
+    "centimeter": ("cm",),
+    "meter": ("m", "meter"),
+    "inch": ("in", "inch"),
+    "microsecond": ("µs",),
+    "millisecond": ("ms", "msec"),
+    "second": ("s", "sec"),
+    "minute": ("min",),
+    "hour": ("h", "hr"),
+    "day": ("d",),
 }
-"""Units as OME-XML and ImageJ write them, in the spelling of UDUNITS that OME-Zarr takes."""
+"""How OME-XML, and then others, write units, which are in the spelling of UDUNITS and OME-Zarr."""
+
+MICROMETERS = {
+    **{"angstrom": 1e-4, "nanometer": 1e-3, "micrometer": 1.0, "millimeter": 1e3},
+    **{"centimeter": 1e4, "inch": 25_400.0, "meter": 1e6},
+}
+"""Of units of length."""
 
 _CENTIMETERS = 3
 _ESCAPED_MICRO = "\\u00B5"
@@ -45,28 +43,21 @@ def unit_of(symbol: str) -> str | None:
     >>> unit_of("µm"), unit_of("sec"), unit_of("pixel")
     ('micrometer', 'second', None)
     """
-    plain = symbol.replace(_ESCAPED_MICRO, "u").strip().lower()
-    return UNIT_OF_SYMBOL.get(plain.replace("\u00b5", "u").replace("\u03bc", "u"))
+    plain = _plain(symbol.replace(_ESCAPED_MICRO, "u").strip())
+    spelt = ((unit, map(_plain, known)) for unit, known in SYMBOLS_OF_UNIT.items())
+    return next((unit for unit, symbols in spelt if plain in symbols), None)
+
+
+def _plain(symbol: str) -> str:
+    return symbol.lower().replace("\u00b5", "u").replace("\u03bc", "u")
 
 
 def pixel_size_in_tiff(tiff: Any, series: int = 0) -> PixelSize:
-    """Return the pixel size along the axes that have one, and their units.
+    """Return the pixel size along the axes, y, x, z and t, that have one, and their units.
 
-    OME-XML is asked first, then what LSM says, then ImageJ's description, then the resolution
-    tags. A resolution in dots an inch is the size of a print, and does not count.
-
-    Parameters
-    ----------
-    tiff : tifffile.TiffFile
-    series : int
-        Which picture of an OME-TIFF.
-
-    Returns
-    -------
-    pixel_size : dict of str to float
-        By letter of axis: y, x, z, t.
-    units : dict of str to str
-        Of the same axes.
+    OME-XML is asked first, of the picture of that number, then what LSM says, then ImageJ's
+    description, then the resolution tags. A resolution in dots an inch is the size of a print, and
+    does not count.
     """
     if tiff.ome_metadata:
         return _ome_pixel_size(tiff.ome_metadata, series)

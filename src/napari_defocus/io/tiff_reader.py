@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from math import prod
@@ -14,11 +13,10 @@ from numpy.typing import NDArray
 
 from napari_defocus.io.lazy_arrays import block_side, lazy_array
 from napari_defocus.io.pictures import (
-    UnreadablePicture,
     color_model,
     cut_off,
     planes_are_missing,
-    reading_failure,
+    reading,
     tiff_colors,
     upright,
 )
@@ -34,21 +32,12 @@ _NO_PAGE = -1
 
 @dataclass(frozen=True, eq=False)
 class TiffPages:
-    """Planes of one form, each a page of a file, of which regions are decoded.
+    """Planes of one form, each a page of a file, of which regions are decoded; colours last.
 
-    Attributes
-    ----------
-    files : tuple of str
-        An OME-TIFF can be spread over several.
-    file_of, offsets : int64 ndarray
-        Of each plane, in the shape of the axes before rows and columns: which file, and where its
-        page is described there; -1 for planes that were not recorded, which are 0.
-    shape, dtype
-        Of all planes, colours last.
-    as_stored : bool
-        Whether palettes are ImageJ's tables of display colours, and do not count.
-    apart : bool
-        Whether the last axis before rows is that of the channels of each page, as in LSM.
+    `file_of` and `offsets`, in the shape of the axes before rows, say which of the files a plane is
+    in, and where its page is described there; -1 for planes that were not recorded, which are 0.
+    Palettes that are ImageJ's tables of display colours do not count: values are `as_stored`. The
+    last axis before rows can be that of channels that lie `apart` in each page, as in LSM.
     """
 
     files: tuple[str, ...]
@@ -74,97 +63,35 @@ class TiffPages:
 
     def _pixels(self, plane: tuple[int, ...], rows: slice, columns: slice) -> NDArray[Any]:
         import tifffile
+        import zarr
 
         file = self.files[self.file_of[plane]]
-        try:
-            with tifffile.TiffFile(file) as tiff:
-                place = int(self.offsets[plane])
-                # Of later pages, tifffile mends what some formats get wrong.
-                index = int(place != tiff.pages.first.offset)
-                tiff.filehandle.seek(place)
-                page = tifffile.TiffPage(tiff, index=index)
-                samples = slice(plane[-1], plane[-1] + 1) if self.apart else _all_samples(page)
-                return _colors(_decoded(page, rows, columns, samples), page, self.as_stored)
-        # Decoders raise whatever damaged bytes led them into.
-        except Exception as error:
-            raise UnreadablePicture(f"cannot read {file}: {reading_failure(error)}") from error
+        with reading(file), tifffile.TiffFile(file) as tiff:
+            place = int(self.offsets[plane])
+            # Of later pages, tifffile mends what some formats get wrong.
+            index = int(place != tiff.pages.first.offset)
+            tiff.filehandle.seek(place)
+            # A page by its place, not the whole series: that reads the tags of all its pages.
+            page = tifffile.TiffPage(tiff, index=index)
+            stored = zarr.open_array(page.aszarr(), mode="r", zarr_format=2)
+            samples = (plane[-1] if self.apart else slice(None),) if page.axes == "SYX" else ()
+            pixels = np.asarray(stored[(*samples, rows, columns)])
+            if page.axes == "SYX" and not self.apart:
+                pixels = np.moveaxis(pixels, 0, -1)
+            return _colors(pixels, page, self.as_stored)
 
 
 def _colors(pixels: NDArray[Any], page: Any, as_stored: bool) -> NDArray[Any]:
-    """Return pixels, (h, w, samples), as (h, w) or (h, w, 3 or 4)."""
-    grey = pixels[..., 0] if pixels.shape[2] == 1 else pixels
-    return grey if as_stored and page.samplesperpixel == 1 else tiff_colors(grey, page)
-
-
-def _all_samples(page: Any) -> slice:
-    return slice(0, page.samplesperpixel)
-
-
-def _decoded(page: Any, rows: slice, columns: slice, samples: slice) -> NDArray[Any]:
-    """Decode the tiles or strips that a region touches; (h, w, samples).
-
-    Only of a page whose samples are stored apart, fewer than all samples can be asked for.
-    """
-    region = (rows, columns, samples)
-    pixels = np.full([part.stop - part.start for part in region], page.nodata, page.dtype)
-    file = page.parent.filehandle
-    for index in _segments(page, rows, columns, samples):
-        offset, length = page.dataoffsets[index], page.databytecounts[index]
-        file.seek(offset)
-        data = file.read(length) if length else None
-        segment, place, size = page.decode(data, index, jpegtables=page.jpegtables)
-        if segment is not None:
-            _put(pixels, segment[0], place, size, region)
-    return pixels
-
-
-def _put(
-    pixels: NDArray[Any],
-    segment: NDArray[Any],
-    place: tuple[int, ...],
-    size: tuple[int, ...],
-    region: tuple[slice, slice, slice],
-) -> None:
-    first_row, first_column, first_sample = (part.start for part in region)
-    sample, _, top, left, _ = place
-    height, width = size[1:3]
-    rows = slice(max(top - first_row, 0), top - first_row + height)
-    columns = slice(max(left - first_column, 0), left - first_column + width)
-    samples = slice(sample - first_sample, sample - first_sample + segment.shape[-1])
-    target = pixels[rows, columns, samples]
-    above, before = max(first_row - top, 0), max(first_column - left, 0)
-    target[...] = segment[above : above + target.shape[0], before : before + target.shape[1]]
-
-
-def _segments(page: Any, rows: slice, columns: slice, samples: slice) -> Iterator[int]:
-    height, width = _segment_size(page)
-    across = -(-page.imagewidth // width)
-    down = -(-page.imagelength // height)
-    layers = range(samples.start, samples.stop) if page.planarconfig == 2 else range(1)
-    for layer in layers:
-        for row in range(rows.start // height, -(-rows.stop // height)):
-            for column in range(columns.start // width, -(-columns.stop // width)):
-                yield (layer * down + row) * across + column
-
-
-def _segment_size(page: Any) -> tuple[int, int]:
-    if page.is_tiled:
-        return page.tilelength, page.tilewidth
-    return min(page.rowsperstrip, page.imagelength), page.imagewidth
+    """Return pixels, (h, w[, samples]), as (h, w) or (h, w, 3 or 4)."""
+    return pixels if as_stored and page.samplesperpixel == 1 else tiff_colors(pixels, page)
 
 
 @dataclass(frozen=True, eq=False)
 class TiffMemory:
     """Planes that lie in a file as they lie in memory, one after the other, uncompressed.
 
-    Attributes
-    ----------
-    file : str
-    offset : int
-        Bytes before the first pixel.
-    shape : tuple of int
-    stored : str
-        The dtype with its order of bytes, as NumPy writes it.
+    The first pixel is `offset` bytes from the start; `stored` is NumPy's name of the dtype, with
+    its order of bytes.
     """
 
     file: str
@@ -179,30 +106,17 @@ class TiffMemory:
 
     def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
         """Read a region, one slice an axis."""
-        mapped = np.memmap(self.file, self.stored, "r", self.offset, self.shape)
-        return np.array(mapped[region], self.dtype)
+        with reading(self.file):
+            mapped = np.memmap(self.file, self.stored, "r", self.offset, self.shape)
+            return np.array(mapped[region], self.dtype)
 
 
 def open_tiff(path: Path) -> tuple[da.Array, str, PixelSize]:
     """Open the largest level of the picture, or stack, in a TIFF.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    data : dask.array.Array
-        (..., H, W) or (..., H, W, 3 or 4); read when computed.
-    axes : str
-        A letter an axis; s of colours.
-    pixel_size : (dict, dict)
-        As `pixel_size_in_tiff`.
-
-    Raises
-    ------
-    ValueError
-        If it holds several pictures, is cut off, or holds what is no picture.
+    Its data, (..., H, W) or (..., H, W, 3 or 4), are read when they are computed; there is a letter
+    an axis, s of colours, and what `pixel_size_in_tiff` gives. ValueError is raised if the file
+    holds several pictures, is cut off, or holds what is no picture.
     """
     import tifffile
 
@@ -256,23 +170,18 @@ def _paged(tiff: Any, series: Any) -> tuple[da.Array, str]:
         shape = " x ".join(map(str, series.shape))
         raise ValueError(f"its form {shape} (axes {series.axes}) is not read")
     as_stored = bool(tiff.is_imagej)
-    samples = 1 if apart else page.samplesperpixel
-    pixel = _colors(np.zeros((1, 1, samples), page.dtype), page, as_stored)
+    samples = () if apart or page.samplesperpixel == 1 else (page.samplesperpixel,)
+    pixel = _colors(np.zeros((1, 1, *samples), page.dtype), page, as_stored)
     planes: tuple[int, ...] = tuple(series.shape[: -len(page_axes)])
     files, file_of, offsets = _places(series, planes[:-1] if apart else planes)
     if apart:
-        file_of, offsets = (_for_each_channel(each, planes[-1]) for each in (file_of, offsets))
+        file_of, offsets = (np.repeat(e[..., None], planes[-1], -1) for e in (file_of, offsets))
     whole = (*planes, page.imagelength, page.imagewidth, *pixel.shape[2:])
     reader = TiffPages(files, file_of, offsets, whole, pixel.dtype, as_stored, apart)
-    height, width = _segment_size(page)
-    sides = (block_side(height, page.imagelength), block_side(width, page.imagewidth))
+    sides = map(block_side, page.chunks[:2], (page.imagelength, page.imagewidth))
     blocks = (*(1 for _ in planes), *sides, *pixel.shape[2:])
     letters = _letters(series.axes[: len(planes)] + "YX")
     return lazy_array(reader, blocks), letters + "s" * len(pixel.shape[2:])
-
-
-def _for_each_channel(pages: NDArray[np.int64], channels: int) -> NDArray[np.int64]:
-    return np.repeat(pages[..., None], channels, axis=-1)
 
 
 def _places(
@@ -297,14 +206,11 @@ def _places(
 
 def _letters(axes: str) -> str:
     """Return a letter an axis, all different, s for colours only if they are beside rows."""
-    letters = ""
     given = axes.lower()
-    for at, axis in enumerate(given):
-        colors = axis == "s" and given[at:] in ("s", "syx")
-        wished = "c" if axis == "s" and not colors else axis
-        free = (a for a in "qponmlkjihgfedbavwur" if a not in letters + given)
-        letters += next(free) if wished in letters else wished
-    return letters
+    if not given.endswith(("s", "syx")):
+        given = given.replace("s", "c")
+    free = (letter for letter in "qponmlkjihgfedbavwur" if letter not in given)
+    return "".join(a if a not in given[:at] else next(free) for at, a in enumerate(given))
 
 
 def _turned(data: da.Array, axes: str, orientation: int) -> da.Array:

@@ -21,16 +21,7 @@ def picture_number(tiff: Any) -> int:
     """Return which series of a file is the picture, or the stack, that it is about.
 
     It is the one that tifffile knows as a slide, or the largest if all others are much smaller or
-    are, by their names, labels and previews.
-
-    Parameters
-    ----------
-    tiff : tifffile.TiffFile
-
-    Raises
-    ------
-    ValueError
-        If there are several and none of them is clearly the one; the message lists them.
+    are, by their names, labels and previews. If none is clearly the one, ValueError lists them.
     """
     numbers = _candidates(tiff.series)
     pixels = [prod(tiff.series[number].shape) for number in numbers]
@@ -46,13 +37,7 @@ def picture_number(tiff: Any) -> int:
 
 
 def told_choice(tiff: Any) -> str:
-    """Return in words what of a file is the picture, and what was left out; "" if it is all.
-
-    Raises
-    ------
-    ValueError
-        As `picture_number`.
-    """
+    """Return in words what of a file is the picture, and what was left out; "" if it is all."""
     taken = picture_number(tiff)
     levels = len(tiff.series[taken].levels)
     told = [f"the largest of {levels} levels"] if levels > 1 else []

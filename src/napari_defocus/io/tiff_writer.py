@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import napari_defocus
 from napari_defocus.core.writing import UnwritableResult, check_results, unused_name
 from napari_defocus.io.multiscale import halved, level_shapes
-from napari_defocus.io.provenance import SOFTWARE, mark_in_tiff
+from napari_defocus.io.provenance import mark_in_tiff, plain_json, signature
+from napari_defocus.io.tiff_pixel_size import MICROMETERS, SYMBOLS_OF_UNIT
 
 TILE = 512
 """px of a tile's side."""
@@ -29,16 +29,8 @@ _BUFFER = 2**24
 
 _OME_AXES = set("tcz")
 _OME_DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
-_SYMBOLS = {
-    **{"angstrom": "Å", "nanometer": "nm", "micrometer": "µm", "millimeter": "mm"},
-    **{"centimeter": "cm", "meter": "m", "inch": "in"},
-    **{"microsecond": "µs", "millisecond": "ms", "second": "s", "minute": "min", "hour": "h"},
-    "day": "d",
-}
-_CENTIMETERS = {
-    **{"angstrom": 1e-8, "nanometer": 1e-7, "micrometer": 1e-4, "millimeter": 0.1},
-    **{"centimeter": 1.0, "meter": 100.0, "inch": 2.54},
-}
+_CENTIMETER = 1e4
+"""In micrometers."""
 
 
 def write_pyramidal_tiff(
@@ -102,7 +94,9 @@ def write_pyramidal_tiff(
     ('px', [2, 600, 700])
     """
     _check_axes(tuple(data.shape), np.dtype(data.dtype), axes)
-    about = _checked_description(description, tuple(data.shape), axes)
+    # tifffile reads `axes` again, and takes capitals.
+    form = {**signature(), "shape": tuple(data.shape), "axes": axes.upper()}
+    about = plain_json("description", {**description, **form})
     check_results([Path(path)], force=force)
     target = Path(path).resolve()
     part = unused_name(target.parent)
@@ -142,19 +136,6 @@ def _check_axes(shape: tuple[int, ...], dtype: np.dtype[Any], axes: str) -> None
         raise TypeError(f"data are {dtype}; bool and real numbers are written")
 
 
-def _checked_description(
-    description: Mapping[str, Any], shape: tuple[int, ...], axes: str
-) -> dict[str, Any]:
-    version = napari_defocus.__version__
-    # tifffile reads `axes` again, and takes capitals.
-    about = {"software": SOFTWARE, "version": version, "shape": shape, "axes": axes.upper()}
-    try:
-        checked: dict[str, Any] = json.loads(json.dumps({**description, **about}))
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"description takes what JSON can hold: {error}") from error
-    return checked
-
-
 class _Levels:
     """Tiles of every level, from the largest on, each made while the one before is written."""
 
@@ -182,7 +163,8 @@ class _Levels:
                     half = self._halved(values)
                     self.arrays[level + 1][(*plane, slice(at, at + len(half)))] = half
                     at += len(half)
-                yield from _padded_tiles(values)
+                # tifffile pads those at the borders.
+                yield from (values[:, x : x + TILE] for x in range(0, values.shape[1], TILE))
 
     def _halved(self, rows: NDArray[Any]) -> NDArray[Any]:
         if rows.ndim == 2:
@@ -227,14 +209,6 @@ def _bounds_of_blocks(data: Any, row_axis: int) -> Iterator[tuple[int, int]]:
         start += rows
 
 
-def _padded_tiles(rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    for left in range(0, rows.shape[1], TILE):
-        part = rows[:, left : left + TILE]
-        tile = np.zeros((TILE, TILE, *rows.shape[2:]), rows.dtype)
-        tile[: part.shape[0], : part.shape[1]] = part
-        yield tile
-
-
 def _page_options(data: Any, axes: str) -> dict[str, Any]:
     colors = data.shape[-1] if axes.endswith("s") else 0
     return {
@@ -258,8 +232,7 @@ def _noted(
 ) -> dict[str, Any]:
     """Return what the first page notes: OME-XML if there are planes that it knows, else JSON."""
     steps = {axis: step for axis, step in (pixel_size or {}).items() if axis in (units or {})}
-    noted = {"software": f"{SOFTWARE} {napari_defocus.__version__}"}
-    noted |= _resolution(steps, units or {})
+    noted = {"software": " ".join(signature().values()), **_resolution(steps, units or {})}
     planes = set(axes) - set("yxs")
     name = "uint8" if dtype.kind == "b" else dtype.name
     if not planes or planes - _OME_AXES or name not in _OME_DTYPES:
@@ -267,19 +240,18 @@ def _noted(
         return {**noted, "metadata": {k: v for k, v in about.items() if k != "shape"}}
     metadata: dict[str, Any] = {"axes": axes.upper(), "Description": json.dumps(about)}
     for axis, step in steps.items():
-        if (symbol := _SYMBOLS.get((units or {})[axis])) and axis in "zyxt":
+        if (symbols := SYMBOLS_OF_UNIT.get((units or {})[axis])) and axis in "zyxt":
             key = "TimeIncrement" if axis == "t" else f"PhysicalSize{axis.upper()}"
-            metadata |= {key: step, f"{key}Unit": symbol}
+            metadata |= {key: step, f"{key}Unit": symbols[0]}
     return {**noted, "metadata": metadata}
 
 
 def _resolution(pixel_size: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
-    sizes = [
-        pixel_size.get(axis, 0.0) * _CENTIMETERS.get(units.get(axis, ""), 0.0) for axis in "xy"
-    ]
+    sizes = [pixel_size.get(axis, 0) * MICROMETERS.get(units.get(axis, ""), 0) for axis in "xy"]
     if min(sizes) <= 0:
         return {}
-    return {"resolution": (1 / sizes[0], 1 / sizes[1]), "resolutionunit": "CENTIMETER"}
+    across, up = (_CENTIMETER / size for size in sizes)
+    return {"resolution": (across, up), "resolutionunit": "CENTIMETER"}
 
 
 def _write(path: Path, levels: _Levels, options: Mapping[str, Any]) -> None:
