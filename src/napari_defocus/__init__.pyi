@@ -130,7 +130,7 @@ from .psf.families import (
 from .psf.measured import (
     MeasuredPSF as MeasuredPSF,
 )
-from .psf.text import (
+from .psf.parsing import (
     psf_from_text as psf_from_text,
 )
 from .restoration.refocusing import (

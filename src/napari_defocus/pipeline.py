@@ -291,7 +291,7 @@ def _read_values(path: Path, shape: tuple[int, ...], what: str) -> NDArray[Any]:
 def _family_up_to(largest: float, settings: MapSettings) -> PSFFamily:
     """Return the family of the settings, with a domain that goes up to a scale if it can."""
     from napari_defocus.psf.families import radius_per_scale
-    from napari_defocus.psf.text import psf_of
+    from napari_defocus.psf.parsing import psf_of
 
     largest_radius = radius_per_scale(settings.family()) * largest
     return psf_of(settings.psf, max(settings.max_radius, largest_radius))

@@ -111,7 +111,7 @@ class MapSettings:
 
     def family(self) -> PSFFamily:
         """Return the PSF family that `psf` and `max_radius` say, see `psf_of`."""
-        from napari_defocus.psf.text import psf_of
+        from napari_defocus.psf.parsing import psf_of
 
         return psf_of(self.psf, self.max_radius)
 

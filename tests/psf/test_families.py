@@ -16,7 +16,7 @@ from napari_defocus.psf.families import (
     as_family,
 )
 from napari_defocus.psf.measured import MeasuredPSF
-from napari_defocus.psf.text import psf_from_text, psf_text
+from napari_defocus.psf.parsing import psf_from_text, psf_text
 
 RADII = [0.0, 0.3, 0.5, 0.51, 0.7, 1.0, 1.5, 2.37, 3.0, 4.5, 6.66, 8.0]
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from numpy.typing import ArrayLike
 
-from napari_defocus.api.dispatch import EstimationOptions, tiled_planes
-from napari_defocus.core.axes import arranged_image, said_axes
+from napari_defocus.api.dispatch import EstimationOptions, arranged_image, tiled_planes
+from napari_defocus.core.axes import said_axes
 from napari_defocus.core.checks import (
     Linearize,
     Mode,

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypedDict
 
+import numpy as np
+
+from napari_defocus.core.axes import axis_roles, is_lazy, planes_first
 from napari_defocus.core.checks import Linearize, Mode
 from napari_defocus.core.extras import need_large_extra
+from napari_defocus.core.image import given_image
 from napari_defocus.core.progress import Progress
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
 from napari_defocus.likelihood.shot_noise import ShotNoise
@@ -17,6 +21,37 @@ if TYPE_CHECKING:
     from napari_defocus.core.intensity import IntensityRange
     from napari_defocus.tiled.candidates import LazyCandidates
     from napari_defocus.tiled.lazy_planes import LazyPlanes
+
+
+def arranged_image(image: Any, axes: str | None) -> tuple[Any, str]:
+    """Find out which axis of an image is which, and whether it is one picture in memory.
+
+    Returns
+    -------
+    image : array
+        A single picture in memory as (H, W) or (H, W, 3 or 4), and all else as it was.
+    roles : str
+        Of the axes of what is no single picture in memory; "" of what is.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `axis_roles`.
+    """
+    if axes is None and not is_lazy(image):
+        if len(np.shape(image) if hasattr(image, "shape") else ()) > 2:
+            axis_roles(image.shape, None)
+        return image, ""
+    array = image if is_lazy(image) else given_image("image", image)
+    if any(np.isnan(length) for length in array.shape):
+        raise ValueError(
+            f"image has shape {array.shape}; it takes a dask array of known size, see its "
+            "compute_chunk_sizes"
+        )
+    roles = axis_roles(tuple(int(n) for n in array.shape), axes)
+    if is_lazy(array) or set(roles) - set("yxs"):
+        return array, roles
+    return planes_first(array, roles), ""
 
 
 class EstimationOptions(TypedDict, total=False):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.api.candidates import estimate_candidates
-from napari_defocus.api.dispatch import EstimationOptions, is_lazy_candidates
-from napari_defocus.core.axes import arranged_image, said_axes
+from napari_defocus.api.dispatch import EstimationOptions, arranged_image, is_lazy_candidates
+from napari_defocus.core.axes import said_axes
 from napari_defocus.core.checks import (
     Linearize,
     Mode,

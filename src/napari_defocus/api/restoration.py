@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.api.dispatch import tiled_planes
-from napari_defocus.core.axes import arranged_image, said_axes
+from napari_defocus.api.dispatch import arranged_image, tiled_planes
+from napari_defocus.core.axes import said_axes
 from napari_defocus.core.checks import Linearize, check_block_size
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.psf.families import Disc, PSFFamily

@@ -139,7 +139,7 @@ def compare(
 ) -> dict[str, Any]:
     """Compare how well lenses explain the blur of IMAGE, the best first."""
     from napari_defocus.io.pictures import read_picture
-    from napari_defocus.psf.text import psf_of
+    from napari_defocus.psf.parsing import psf_of
 
     text_of = {psf_of(text, max_radius): text for text in family or COMPARED_PSFS}
     picture = read_picture(image)

@@ -1,1 +1,1 @@
-"""Arrays, axes, settings, progress and threads: what every room stands on."""
+"""Arrays, axes, intensities, progress, threads and files written whole: what every room needs."""

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from napari_defocus.core.image import given_image
-
 COLORS = (1, 3, 4)
 """How many values a pixel may have: grey, colours, colours and opacity."""
 
@@ -256,37 +254,6 @@ def said_axes(
         f"channel_axis will go; axes={roles!r} says the same", FutureWarning, stacklevel=3
     )
     return roles
-
-
-def arranged_image(image: Any, axes: str | None) -> tuple[Any, str]:
-    """Find out which axis of an image is which, and whether it is one picture in memory.
-
-    Returns
-    -------
-    image : array
-        A single picture in memory as (H, W) or (H, W, 3 or 4), and all else as it was.
-    roles : str
-        Of the axes of what is no single picture in memory; "" of what is.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `axis_roles`.
-    """
-    if axes is None and not is_lazy(image):
-        if len(np.shape(image) if hasattr(image, "shape") else ()) > 2:
-            axis_roles(image.shape, None)
-        return image, ""
-    array = image if is_lazy(image) else given_image("image", image)
-    if any(np.isnan(length) for length in array.shape):
-        raise ValueError(
-            f"image has shape {array.shape}; it takes a dask array of known size, see its "
-            "compute_chunk_sizes"
-        )
-    roles = axis_roles(tuple(int(n) for n in array.shape), axes)
-    if is_lazy(array) or set(roles) - set("yxs"):
-        return array, roles
-    return planes_first(array, roles), ""
 
 
 def planes_first(array: Any, roles: str) -> Any:

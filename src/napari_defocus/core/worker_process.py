@@ -29,7 +29,8 @@ from contextlib import suppress
 from functools import partial
 from typing import IO, Any, TypeVar, cast
 
-from napari_defocus.core.messages import (
+from napari_defocus.core.progress import Cancelled, Progress, silent
+from napari_defocus.core.worker_messages import (
     Message,
     packed,
     pieces,
@@ -37,7 +38,6 @@ from napari_defocus.core.messages import (
     unpacked,
     write_piece,
 )
-from napari_defocus.core.progress import Cancelled, Progress, silent
 
 Result = TypeVar("Result")
 

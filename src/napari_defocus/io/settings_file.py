@@ -217,7 +217,7 @@ def _as_float(value: Any, taken: Any) -> Any:
 def _check_estimation(settings: MapSettings) -> None:
     """Check what is otherwise found out when a picture is there."""
     from napari_defocus.likelihood.exact_spectra import check_windows
-    from napari_defocus.psf.text import psf_of
+    from napari_defocus.psf.parsing import psf_of
 
     # The file of a measured lens may be elsewhere now, or another lens be asked for.
     text = "disc" if settings.psf.lower().endswith(".npz") else settings.psf

@@ -24,13 +24,13 @@ from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.exact_spectra import check_windows
-from napari_defocus.likelihood.fixed_point import fixed_point_maxima
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
 from napari_defocus.likelihood.maxima import CANDIDATES, local_maxima
 from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
+from napari_defocus.likelihood.reference import fixed_point_maxima
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import MapSettings

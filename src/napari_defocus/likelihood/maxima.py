@@ -44,7 +44,7 @@ _LIMIT = np.float32(1)
 """Of a step in log s. Chosen by hand."""
 
 _CLOSE_ENOUGH = 5e-4
-"""px: a step that is none any more. Maxima are exact to 0.005 px (tests against `fixed_point`)."""
+"""px: a step that is none any more. Maxima are exact to 0.005 px (tests against `reference`)."""
 
 
 def local_maxima(

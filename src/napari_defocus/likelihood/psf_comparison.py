@@ -18,7 +18,7 @@ from napari_defocus.likelihood.gabor import gradients, local_power, window_cente
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
 from napari_defocus.psf.families import PSFFamily
-from napari_defocus.psf.text import psf_text
+from napari_defocus.psf.parsing import psf_text
 from napari_defocus.settings import MapSettings
 
 _WINDOWS_APART = 4

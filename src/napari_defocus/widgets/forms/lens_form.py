@@ -6,7 +6,7 @@ from pathlib import Path
 from magicgui.widgets import ComboBox, FileEdit, FloatSpinBox, SpinBox, Widget
 
 from napari_defocus.psf.families import Annulus, GeneralizedGaussian, Polygon
-from napari_defocus.psf.text import psf_from_text, psf_text
+from napari_defocus.psf.parsing import psf_from_text, psf_text
 from napari_defocus.settings import MapSettings, MaskSettings, usual_threshold
 
 MEASURED = "measured"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.psf.text import psf_of
+from napari_defocus.psf.parsing import psf_of
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.estimation import (
     ESTIMATION_SHARE,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress
 from napari_defocus.psf.families import radius_per_scale
-from napari_defocus.psf.text import psf_of
+from napari_defocus.psf.parsing import psf_of
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.jobs.estimation import (
     LARGEST_RADIUS,

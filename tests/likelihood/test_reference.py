@@ -6,7 +6,6 @@ import pytest
 from napari_defocus import Disc, simulate_defocus
 from napari_defocus.core.image import prepare_image
 from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
-from napari_defocus.likelihood.fixed_point import exact_log_likelihood, fixed_point_maxima
 from napari_defocus.likelihood.gabor import gradients, local_power
 from napari_defocus.likelihood.maxima import local_maxima
 from napari_defocus.likelihood.profile_likelihood import (
@@ -14,6 +13,7 @@ from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
+from napari_defocus.likelihood.reference import exact_log_likelihood, fixed_point_maxima
 from napari_defocus.psf.families import Gaussian
 
 WINDOW = 41
