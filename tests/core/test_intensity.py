@@ -30,7 +30,7 @@ def picture(clouds):
     """Half sharp, half blurred by 4 px, in [0, 1], with noise of variance 1.6e-5: float64."""
     radius = np.zeros((120, 160))
     radius[:, 80:] = 4
-    blurred = simulate_defocus(clouds[:120], radius, noise_variance=1.6e-5, rng=0)
+    blurred = simulate_defocus(clouds[:120], radius, noise_variance=1.6e-5, rng=1)
     return np.clip(blurred, 0, 1).astype(np.float64)
 
 
