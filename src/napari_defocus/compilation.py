@@ -41,7 +41,7 @@ _MODULES = (
 )
 """Where the kernels of maps, masks and confidences are."""
 
-_SIDE = 56
+_SIDE = 72
 """px, as many windows as pixels: enough for a coarser grid of labels."""
 
 _turn = threading.Lock()

@@ -286,7 +286,7 @@ def test_shot_noise_is_measured_and_told(picture, instant, monkeypatch):
     assert instant["noise"]["intensity_range"] == (0, 200)
     assert "variance 1e-05 + 0.0002 x intensity" in result.stdout
     facts = json.loads(run("segment", picture, *common, "--json").stdout)
-    assert facts["shot_noise"] == {"read_variance": 1e-5, "gain": 2e-4}
+    assert facts["shot_noise"] == {"read_variance": 1e-5, "gain": 2e-4, "offset": 0.0}
 
 
 def test_shot_noise_and_a_given_variance_exclude_each_other(picture, instant):

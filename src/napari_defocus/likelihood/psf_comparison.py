@@ -181,8 +181,7 @@ def compare_psf(
     evidence, best_scale = np.empty((2, len(checked), len(power)))
     for index, psf in enumerate(checked):
         progress("Comparing PSF families", index / len(checked))
-        soft = MapSettings.camera_softness
-        table = spectrum_table(psf, window, rows[0] % 1, columns[0] % 1, "exact", softness=soft)
+        table = spectrum_table(psf, window, rows[0] % 1, columns[0] % 1, "exact")
         scales = label_scales(psf)
         curve = profile_log_likelihood(power, table, scales, least_noise)
         evidence[index] = _log_mean_exp(curve)
