@@ -28,7 +28,7 @@ from napari_defocus.io.ome_zarr import read_ome_zarr
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr
 from napari_defocus.io.tiled_stores import store
 from napari_defocus.settings import MapSettings
-from napari_defocus.tiled import candidates as blocks
+from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.tile_tasks import Wanted
 
 NOISE = 1e-6
@@ -331,7 +331,7 @@ def test_progress_of_parts_is_one_of_time(picture):
     seen = []
     lazy = estimate_candidates(da.from_array(picture[:90]), noise_variance=NOISE, block_size=BLOCK)
     found = lazy.measure(Wanted(map=MapSettings(), confidence=True))
-    blocks.computed(found, lambda step, done: seen.append(done))
+    run_tasks(found, lambda step, done: seen.append(done))
     assert seen == sorted(seen)
     assert seen[-1] == 1
     # Two surveys and two measurements are nearly all of it.

@@ -27,7 +27,7 @@ from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import RestorationSettings
-from napari_defocus.tiled.computing import computed, run_tasks
+from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
 from napari_defocus.tiled.plane_noise import noise_of_plane
 from napari_defocus.tiled.tile_graph import Key, TileGraph, after, pixels, placed
@@ -151,7 +151,7 @@ class LazyCandidates:
         self.planes.check_same(image)
         known = None if seeds is None else self.planes.belonging("seeds", seeds, "ui")
         found = self.measure(Wanted(**asked), known)
-        return computed(found, progress) if self.planes.in_memory else found
+        return run_tasks(found, progress) if self.planes.in_memory else found
 
     def judged(self, blur_map: Any, risk: float = RestorationSettings.risk) -> dict[str, Any]:
         """Return `confidence_map` and `cautious_blur_map` of any map, (..., H, W), by name."""
@@ -167,7 +167,7 @@ class LazyCandidates:
             return {name: graph.picked(name, tiles) for name in ("confidence", "cautious")}
 
         found = self.planes.each(of_plane)
-        return computed(found, silent) if self.planes.in_memory else found
+        return run_tasks(found, silent) if self.planes.in_memory else found
 
     @property
     def _tiling(self) -> Tiling:

@@ -13,7 +13,7 @@ from napari_defocus.core.intensity import needs_limits
 from napari_defocus.core.progress import Progress
 from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import MapSettings
-from napari_defocus.tiled.computing import computed
+from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
 from napari_defocus.tiled.plane_noise import intensities_of_plane, limits_of_planes, noise_of_plane
 from napari_defocus.tiled.tile_graph import TileGraph, after, pixels, placed
@@ -77,7 +77,7 @@ def restore_planes(
         return {"in_focus": graph.blended("in_focus", tiles, colors)}
 
     restored = planes.each(of_plane)
-    return (computed(restored, progress) if planes.in_memory else restored)["in_focus"]
+    return (run_tasks(restored, progress) if planes.in_memory else restored)["in_focus"]
 
 
 def _shared_limits(planes: LazyPlanes, how: Restoration) -> Any:
