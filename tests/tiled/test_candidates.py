@@ -28,8 +28,7 @@ from napari_defocus.io.ome_zarr import read_ome_zarr
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr
 from napari_defocus.io.tiled_stores import store
 from napari_defocus.settings import MapSettings
-from napari_defocus.tiled import candidates as blocks
-from napari_defocus.tiled.tile_graph import after
+from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.tile_tasks import Wanted
 
 NOISE = 1e-6
@@ -251,43 +250,6 @@ def test_impossible_dask_arrays_are_refused(picture, changed, message):
         estimate_candidates(changed(da.from_array(picture)))
 
 
-EVENTS = []
-
-
-def read_block(channels, block_info=None):
-    EVENTS.append("read")
-    return channels + np.uint8(block_info[0]["chunk-location"][1])
-
-
-def note(value):
-    EVENTS.append("value")
-    return value
-
-
-@pytest.mark.parametrize(
-    "arranged",
-    [
-        lambda stack: stack[0],
-        lambda stack: da.stack([stack[0], stack[2]])[1],
-        lambda stack: da.moveaxis(stack, 0, -1).rechunk({-1: 3}),
-        lambda stack: stack[1].rechunk((20, 20)),
-        lambda stack: stack[1] + da.ones((40, 60), chunks=30, dtype=np.uint8),
-    ],
-)
-def test_pixels_are_read_again_after_a_value_and_not_kept(arranged):
-    stack = da.zeros((3, 40, 60), chunks=(1, 20, 20), dtype=np.uint8)
-    plane = arranged(stack.map_blocks(read_block, dtype=np.uint8))
-    EVENTS.clear()
-    expected = plane.compute(scheduler="sync")
-    once = EVENTS.copy()
-    EVENTS.clear()
-    later = after(plane, dask.delayed(note)(plane.sum()))
-    assert (later.chunks, later.dtype) == (plane.chunks, plane.dtype)
-    np.testing.assert_array_equal(later.compute(scheduler="sync"), expected)
-    assert [*once, "value", *once] == EVENTS
-    EVENTS.clear()
-
-
 def test_impossible_ranges_and_maps_are_refused_before_anything_is_read(lazy, picture):
     unread = da.from_delayed(dask.delayed(pytest.fail)("was read"), picture.shape, float)
     with pytest.raises(ValueError, match=r"intensity_range is \(1, 0\)"):
@@ -369,7 +331,7 @@ def test_progress_of_parts_is_one_of_time(picture):
     seen = []
     lazy = estimate_candidates(da.from_array(picture[:90]), noise_variance=NOISE, block_size=BLOCK)
     found = lazy.measure(Wanted(map=MapSettings(), confidence=True))
-    blocks.computed(found, lambda step, done: seen.append(done))
+    run_tasks(found, lambda step, done: seen.append(done))
     assert seen == sorted(seen)
     assert seen[-1] == 1
     # Two surveys and two measurements are nearly all of it.

@@ -58,14 +58,6 @@ def limits_of(image: NDArray[Any]) -> Limits:
     return Limits.of(known_values(image))
 
 
-def joined_pieces(pieces: list[NDArray[Any]], axis: int) -> NDArray[Any]:
-    """Put pieces of a picture beside each other, with their masks if they have any."""
-    if any(isinstance(piece, np.ma.MaskedArray) for piece in pieces):
-        joined: NDArray[Any] = np.ma.concatenate(pieces, axis=axis)  # type: ignore[no-untyped-call]
-        return joined
-    return np.concatenate(pieces, axis=axis)
-
-
 def check_no_infinity(array: NDArray[Any], known: NDArray[np.bool_] | None) -> None:
     """Refuse a picture with infinite values where it is known."""
     if array.dtype.kind != "f":

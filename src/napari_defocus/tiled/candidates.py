@@ -12,13 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from dask import delayed
 from dask.delayed import Delayed
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
@@ -28,21 +27,13 @@ from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import RestorationSettings
-from napari_defocus.tiled.computing import computed, run_tasks
+from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
 from napari_defocus.tiled.plane_noise import noise_of_plane
-from napari_defocus.tiled.tile_graph import (
-    TileGraph,
-    Tiles,
-    after,
-    pixels,
-    placed,
-    when_there,
-)
+from napari_defocus.tiled.tile_graph import Key, TileGraph, after, pixels, placed
 from napari_defocus.tiled.tile_tasks import (
     Noise,
     Wanted,
-    blend_named,
     coarse_pass,
     confidence_pass,
     join_cells,
@@ -51,7 +42,7 @@ from napari_defocus.tiled.tile_tasks import (
     noise_with_variance,
     windows_of_tile,
 )
-from napari_defocus.tiled.tiles import Tile, Tiling, neighbors
+from napari_defocus.tiled.tiles import Tile, Tiling
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +151,7 @@ class LazyCandidates:
         self.planes.check_same(image)
         known = None if seeds is None else self.planes.belonging("seeds", seeds, "ui")
         found = self.measure(Wanted(**asked), known)
-        return computed(found, progress) if self.planes.in_memory else found
+        return run_tasks(found, progress) if self.planes.in_memory else found
 
     def judged(self, blur_map: Any, risk: float = RestorationSettings.risk) -> dict[str, Any]:
         """Return `confidence_map` and `cautious_blur_map` of any map, (..., H, W), by name."""
@@ -169,14 +160,14 @@ class LazyCandidates:
 
         def of_plane(index: Index) -> dict[str, Any]:
             plane, radius, noise = self.planes.plane(index), radii[index], self.noise(index)
-            graph = TileGraph.of("confidence", [plane, radius, noise], self._made_with, risk)
+            graph = TileGraph("confidence", plane, radius, noise, self._made_with, risk)
             for tile, place in placed(tiles):
                 seen = pixels(plane, tile.pixels), pixels(radius, tile.pixels), tile
-                graph.add(place, confidence_pass, *seen, graph.key_of(noise), self._frugal, risk)
-            return {name: _picked(graph, tiles, name) for name in ("confidence", "cautious")}
+                graph.add(place, confidence_pass, *seen, noise, self._frugal, risk)
+            return {name: graph.picked(name, tiles) for name in ("confidence", "cautious")}
 
         found = self.planes.each(of_plane)
-        return computed(found, silent) if self.planes.in_memory else found
+        return run_tasks(found, silent) if self.planes.in_memory else found
 
     @property
     def _tiling(self) -> Tiling:
@@ -209,25 +200,22 @@ class LazyCandidates:
             cells = self._labels_of_cells(read, noise, wanted, seeds)
             plane = after(plane, cells)
         tiles = self._tiling.tiles()
-        sources = [plane, noise, seeds, cells]
-        graph = TileGraph.of("measured", sources, self._made_with, wanted)
+        graph = TileGraph("measured", plane, noise, seeds, cells, self._made_with, wanted)
         for tile, place in placed(tiles):
             seen = pixels(plane, tile.pixels), _seeds_of(seeds, tile), tile, self._tiling.levels
-            known = graph.key_of(cells), graph.key_of(noise)
-            graph.add(place, measure_tile, *seen, *known, self._frugal, wanted)
-
+            graph.add(place, measure_tile, *seen, cells, noise, self._frugal, wanted)
         return {
-            name: _blended(graph, tiles, name)
+            name: graph.blended(name, tiles)
             if dtype is np.float32
-            else _picked(graph, tiles, name, dtype)
+            else graph.picked(name, tiles, dtype)
             for name, dtype in wanted.dtypes.items()
         }
 
     def _labels_of_cells(self, plane: Any, noise: Any, wanted: Wanted, seeds: Any) -> Any:
         """Return the labels of the whole plane's cells, delayed."""
-        graph = TileGraph.of("coarse", [plane, noise, seeds], self._made_with, wanted)
+        graph = TileGraph("coarse", plane, noise, seeds, self._made_with, wanted)
         tiles, levels = self._tiling.tiles(coarse=True), self._tiling.levels
-        how = graph.key_of(noise), self._frugal, wanted
+        how = noise, self._frugal, wanted
         rows: list[Any] = []
         for number, line in enumerate(tiles):
             # Row after row: all at once, dask would read the whole plane before much is done.
@@ -235,10 +223,9 @@ class LazyCandidates:
             costs = []
             for column, tile in enumerate(line):
                 seen = pixels(plane, tile.pixels), _seeds_of(seeds, tile), tile, levels
-                task = coarse_pass, *seen, *how
-                costs.append(graph.add((number, column), when_there, task, before))
+                costs.append(graph.add((number, column), coarse_pass, *seen, *how, after=before))
             last = rows[-1] if rows else None
-            rows.append(graph.add(("row", number), when_there, (join_cells, costs, 1), last))
+            rows.append(graph.add(("row", number), join_cells, costs, 1, after=last))
         return graph.value(graph.add("cells", label_cells, rows))
 
     def _of_windows(self, name: str, length: int, *, search: Search | None) -> Any:
@@ -246,12 +233,13 @@ class LazyCandidates:
 
         def of_plane(index: Index) -> dict[str, Any]:
             plane, noise = self.planes.plane(index), self.noise(index)
-            graph = TileGraph.of(f"{name}-of", [plane, noise], self._made_with, search)
-
-            def task_of(row: int, column: int) -> Any:
-                tile = tiles[row][column]
+            graph = TileGraph(f"{name}-of", plane, noise, self._made_with, search)
+            for tile, place in placed(tiles):
                 seen = pixels(plane, tile.pixels), tile
-                return windows_of_tile, *seen, graph.key_of(noise), how, name
+                graph.add(place, windows_of_tile, *seen, noise, how, name)
+
+            def task_of(*place: int) -> Key:
+                return (graph.name, *place)
 
             def shape_of(tile: Tile) -> tuple[int, ...]:
                 return (*tile.core_windows, length)
@@ -259,22 +247,6 @@ class LazyCandidates:
             return {name: graph.array(name, tiles, task_of, np.float32, shape_of)}
 
         return self.planes.each(of_plane)[name]
-
-
-def _picked(graph: TileGraph, tiles: Tiles, name: str, dtype: DTypeLike = np.float32) -> Any:
-    """Return one result of all tiles: a dask array."""
-    return graph.array(name, tiles, lambda *place: (itemgetter(name), (graph.name, *place)), dtype)
-
-
-def _blended(graph: TileGraph, tiles: Tiles, name: str) -> Any:
-    """Return one result of all tiles, blended over their margins: a dask array."""
-
-    def task_of(row: int, column: int) -> tuple[Any, ...]:
-        at = list(neighbors(tiles, row, column))
-        near, found = [tiles[y][x] for y, x in at], [(graph.name, y, x) for y, x in at]
-        return blend_named, tiles[row][column], near, found, name
-
-    return graph.array(name, tiles, task_of)
 
 
 def _seeds_of(seeds: Any, tile: Tile) -> Any:

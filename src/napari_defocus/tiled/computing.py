@@ -7,7 +7,6 @@ from typing import Any
 
 import dask
 from dask.callbacks import Callback
-from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress
 
@@ -21,24 +20,19 @@ _SHORT = 0.002
 """How long tasks take: the share that is done is one of time, so that the rest can be told."""
 
 
-def computed(arrays: dict[str, Any], progress: Progress) -> dict[str, NDArray[Any]]:
-    """Compute dask arrays together, by whichever scheduler is set, and report.
+def run_tasks(tasks: Any, progress: Progress, step: str = _STEP) -> Any:
+    """Compute dask collections together, by whichever scheduler is set, and report.
 
     Parameters
     ----------
-    arrays : dict of str to dask.array.Array
+    tasks : nested lists and dicts of dask collections
     progress : callable
         An exception from it ends the work.
 
     Returns
     -------
-    dict of str to ndarray
+    The same with what they have.
     """
-    return dict(run_tasks(arrays, progress))
-
-
-def run_tasks(tasks: Any, progress: Progress, step: str = _STEP) -> Any:
-    """Compute delayed values together, by whichever scheduler is set, and report."""
     progress(step, 0.0)
     with _Reports(progress, step):
         (done,) = dask.compute(tasks, num_workers=_THREADS)

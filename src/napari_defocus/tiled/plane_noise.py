@@ -39,15 +39,15 @@ def noise_of_plane(
     """
     if intensities is None:
         intensities = intensities_of_plane(plane, how.intensity_range)
-    read, known = after(plane, intensities), TileGraph.key_of(intensities)
+    read = after(plane, intensities)
     pieces, every = _noise_pieces(plane.shape[:2])
-    graph = TileGraph.of("noise", [read, intensities], given, how)
+    graph = TileGraph("noise", read, intensities, given, how)
     samples = [
-        graph.add(number, look_at_noise, pixels(read, piece), how, known, every)
+        graph.add(number, look_at_noise, pixels(read, piece), how, intensities, every)
         for number, piece in enumerate(pieces)
         if given is None or isinstance(given, ShotNoise)
     ]
-    return graph.value(graph.add("of samples", Noise.of_samples, given, known, samples))
+    return graph.value(graph.add("of samples", Noise.of_samples, given, intensities, samples))
 
 
 def intensities_of_plane(
@@ -65,14 +65,14 @@ def intensities_of_plane(
     limits : dask.delayed.Delayed, optional
         `Limits` to go by instead of the plane's own.
     """
-    graph = TileGraph.of("intensities", [plane, limits], intensity_range)
+    graph = TileGraph("intensities", plane, limits, intensity_range)
     pieces, every = _noise_pieces(plane.shape[:2])
     some = 1 if every == 1 else _EVERY_INTENSITY
     values = [
         graph.add(number, known_values, pixels(plane, piece), some)
         for number, piece in enumerate(pieces)
     ]
-    known = [graph.key_of(limits)]
+    known = [limits]
     if limits is None:
         known = (
             _limits_of_blocks(graph, plane) if needs_limits(plane.dtype, intensity_range) else []
@@ -83,19 +83,16 @@ def intensities_of_plane(
 
 def limits_of_planes(planes: list[Any]) -> Any:
     """Return the `Limits` of all planes of a stack, delayed: the range that they share."""
-    graph = TileGraph.of("limits", planes)
+    graph = TileGraph("limits", planes)
     blocks = [key for plane in planes for key in _limits_of_blocks(graph, plane)]
     return graph.value(graph.add("of all", Limits.joined, blocks))
 
 
 def _limits_of_blocks(graph: TileGraph, plane: Any) -> list[Any]:
     """Add the tasks that look for the limits of each block of a plane; return their keys."""
-    rows, columns, *colors = plane.numblocks
     return [
-        graph.add(
-            ("limits of", plane.name, *at), limits_of, (plane.name, *at, *(0 for _ in colors))
-        )
-        for at in np.ndindex(rows, columns)
+        graph.add(("limits of", *block.key), limits_of, block)
+        for block in plane.to_delayed(optimize_graph=False).flat
     ]
 
 

@@ -13,12 +13,12 @@ from napari_defocus.core.intensity import needs_limits
 from napari_defocus.core.progress import Progress
 from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import MapSettings
-from napari_defocus.tiled.computing import computed
+from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
 from napari_defocus.tiled.plane_noise import intensities_of_plane, limits_of_planes, noise_of_plane
 from napari_defocus.tiled.tile_graph import TileGraph, after, pixels, placed
 from napari_defocus.tiled.tile_tasks import Noise
-from napari_defocus.tiled.tiles import Tile, Tiling, blended, neighbors
+from napari_defocus.tiled.tiles import Tile, Tiling
 
 Float32 = NDArray[np.float32]
 
@@ -33,12 +33,12 @@ def restore_tile(
     tile: Tile,
     noise: Noise,
     how: Restoration,
-) -> Float32:
+) -> dict[str, Float32]:
     """Restore what a tile sees, and return its core and margin."""
     how = replace(how, noise_variance=noise.known)
     picture = how.prepared(pixels, noise.intensities)
     restored = how.restored(pixels, picture, blur_map, confidence)
-    return restored[tile.core(margin=True)].copy()
+    return {"in_focus": restored[tile.core(margin=True)].copy()}
 
 
 def restore_planes(
@@ -69,23 +69,15 @@ def restore_planes(
         if isinstance(noise, Delayed):
             plane = after(plane, noise)
         certain = None if sure is None else sure[index]
-        graph = TileGraph.of("restored", [plane, radius, certain, noise], how, block_size)
+        graph = TileGraph("restored", plane, radius, certain, noise, how, block_size)
         for tile, place in placed(tiles):
             known = pixels(plane, tile.pixels), pixels(radius, tile.pixels)
             trusted = None if certain is None else pixels(certain, tile.pixels)
-            graph.add(place, restore_tile, *known, trusted, tile, graph.key_of(noise), how)
-
-        def task_of(row: int, column: int) -> Any:
-            near = neighbors(tiles, row, column)
-            return blended, tiles[row][column], [[tiles[y][x], (graph.name, y, x)] for y, x in near]
-
-        def shape_of(tile: Tile) -> tuple[int, ...]:
-            return tile.core_shape + colors
-
-        return {"restored": graph.array("in_focus", tiles, task_of, np.float32, shape_of)}
+            graph.add(place, restore_tile, *known, trusted, tile, noise, how)
+        return {"in_focus": graph.blended("in_focus", tiles, colors)}
 
     restored = planes.each(of_plane)
-    return (computed(restored, progress) if planes.in_memory else restored)["restored"]
+    return (run_tasks(restored, progress) if planes.in_memory else restored)["in_focus"]
 
 
 def _shared_limits(planes: LazyPlanes, how: Restoration) -> Any:
@@ -105,5 +97,5 @@ def _noise(plane: Any, how: Restoration, shared: Any, alone: bool) -> Any:
     intensities = intensities_of_plane(plane, how.intensity_range, shared)
     if not alone:
         return noise_of_plane(plane, given, how, intensities)
-    graph = TileGraph.of("noise", [intensities], given)
-    return graph.value(graph.add("alone", Noise, given, None, graph.key_of(intensities)))
+    graph = TileGraph("noise", intensities, given)
+    return graph.value(graph.add("alone", Noise, given, None, intensities))

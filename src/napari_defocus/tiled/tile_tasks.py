@@ -27,7 +27,7 @@ from napari_defocus.likelihood.shot_noise import (
     noise_of_samples,
 )
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.tiled.tiles import Tile, blended
+from napari_defocus.tiled.tiles import Tile
 
 Float32 = NDArray[np.float32]
 Problem = tuple[Float32, Float32]
@@ -280,8 +280,3 @@ def windows_of_tile(
     """Return an attribute of the candidates of the windows of a tile's core."""
     values: Float32 = getattr(candidates_of_tile(pixels, noise, how), name)
     return values[tile.core_cells(0)].copy()
-
-
-def blend_named(target: Tile, near: list[Tile], found: list[Found], name: str) -> Float32:
-    """Put a tile together from what it and its neighbours say of it, see `tiles.blended`."""
-    return blended(target, [(tile, one[name]) for tile, one in zip(near, found, strict=True)])

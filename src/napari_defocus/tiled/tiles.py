@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,22 +204,29 @@ def neighbors(tiles: list[list[Tile]], row: int, column: int) -> Iterator[tuple[
             yield y, x
 
 
-def blended(target: Tile, pieces: list[tuple[Tile, Float32]]) -> Float32:
+def blended(
+    target: Tile, near: list[Tile], found: list[dict[str, NDArray[Any]]], name: str
+) -> Float32:
     """Put the core of a tile together from what it and its neighbours say of it.
 
     Parameters
     ----------
     target : Tile
-    pieces : list of (Tile, (h, w) or (h, w, C) float32 ndarray)
-        Each with what it says of its core and margin, see `Span.with_margin`.
+    near : list of Tile
+        Itself and its neighbours.
+    found : list of dict of str to ((h, w) or (h, w, C) float32 ndarray)
+        What each says of its core and margin, see `Span.with_margin`.
+    name : str
+        Of the result.
 
     Returns
     -------
     (h, w) or (h, w, C) float32 ndarray
     """
-    colors = pieces[0][1].shape[2:]
+    pieces = [one[name] for one in found]
+    colors = pieces[0].shape[2:]
     result = np.zeros(target.core_shape + colors, np.float32)
-    for tile, values in pieces:
+    for tile, values in zip(near, pieces, strict=True):
         into, out_of, shares = [], [], []
         for own, span in zip((target.rows, target.columns), (tile.rows, tile.columns), strict=True):
             low, high = max(own.core[0], span.with_margin[0]), min(own.core[1], span.with_margin[1])
