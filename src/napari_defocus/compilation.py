@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import gaussian_filter
 
 from napari_defocus.core.progress import COMPILING, Progress
 from napari_defocus.core.threads import in_one_thread
@@ -71,7 +71,7 @@ def compile_kernels(progress: Progress) -> None:
 def _measure_something() -> None:
     """Measure a picture that is sharp on one side of an edge: all kernels have something to do."""
     sharp = np.random.default_rng(0).random((_SIDE, _SIDE, 3), np.float32)
-    blurred = 3 * uniform_filter(sharp, (9, 9, 0)) - 1
+    blurred = (9 * gaussian_filter(sharp, (3, 3, 0)) - 4).astype(np.float32)
     picture = np.where(np.arange(_SIDE)[:, None] < _SIDE // 2, sharp, blurred)
     how = Estimation(Disc(), stride=1)
     prepared = how.prepared(picture)
