@@ -201,7 +201,8 @@ class _Line:
         ends = constant + slope * np.array([mean[kept].min(), mean[kept].max()])
         growth = ends[1] / max(ends[0], _DARK_SHARE * floor.min())
         typical = float(np.median(misfit))
-        return cls(constant, slope, floor.min(), growth, typical, int(kept.sum()))
+        least = float(floor.min())
+        return cls(constant, slope, least, float(growth), typical, int(kept.sum()))
 
     @property
     def is_plain(self) -> bool:
