@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 from skimage.data import astronaut
 
 from napari_defocus import estimate_candidates, simulate_defocus
-from napari_defocus.labeling.problem import artificial_likelihood, data_term
+from napari_defocus.labeling.data_term import artificial_likelihood, data_term
 
 halves = astronaut().reshape(256, 2, 256, 2, 3).mean(axis=(1, 3))
 sharp = halves @ [0.299, 0.587, 0.114] / 255
