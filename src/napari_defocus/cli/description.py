@@ -30,6 +30,7 @@ def picture_facts(
         **file_of_picture(image, found.image_shape),
         "psf": settings.psf,
         "scale": found.psf.scale_name,
+        "camera_softness": settings.camera_softness if settings.mode == "curve" else 0.0,
         "noise_variance": variance,
         "noise_sigma_grey_levels": None if variance is None else levels * variance**0.5,
         "grey_levels": levels,
@@ -90,15 +91,19 @@ def intensity_lines(facts: Mapping[str, Any]) -> Iterator[str]:
 def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
     """Say what `picture_facts`, `file_facts`, `map_facts` and `mask_facts` are."""
     yield from picture_lines(facts)
-    yield f"lens         {facts['psf']}, scale: {facts['scale']}"
+    softness = f"camera softness {facts['camera_softness']:g} px"
+    yield f"lens         {facts['psf']}, scale: {facts['scale']}; {softness}"
     yield from intensity_lines(facts)
     if facts["noise_variance"] is not None:
         variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
         levels = f"{facts['grey_levels']:.6g} grey levels"
         yield f"noise        variance {variance:.2g} (sigma {sigma:.3g} of {levels})"
     if facts["shot_noise"]:
-        read, gain = facts["shot_noise"]["read_variance"], facts["shot_noise"]["gain"]
-        yield f"             variance {read:.2g} + {gain:.2g} x intensity"
+        read, gain, offset = (
+            facts["shot_noise"][key] for key in ("read_variance", "gain", "offset")
+        )
+        light = f"(intensity - {offset:.3g})" if offset else "intensity"
+        yield f"             variance {read:.2g} + {gain:.2g} x {light}"
     if facts.get("map"):
         yield f"map          {facts['map']}"
     if "blur_median_px" in facts:
