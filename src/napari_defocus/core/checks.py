@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from numbers import Integral, Rational, Real
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
+
+T = TypeVar("T")
 
 Mode = Literal["curve", "paper"]
 Spectra = Literal["exact", "fitted"]
@@ -88,6 +91,14 @@ def check_block_size(block_size: Any) -> None:
         raise ValueError(
             f"block_size is {block_size}; it takes a whole number of px from {LEAST_BLOCK_SIZE} up"
         )
+
+
+def renamed(old: str, given: T | None, new: str, value: T | None) -> T | None:
+    """Return the value of an argument that may be given by its old name, with a warning."""
+    if given is None:
+        return value
+    warnings.warn(f"{old} is called {new} now", FutureWarning, stacklevel=3)
+    return given
 
 
 def check_softness(softness: float) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from napari_defocus.core.checks import renamed
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.writing import NeedsForce, UnwritableResult
 from napari_defocus.io.lazy_arrays import regions
@@ -67,6 +68,11 @@ class OmeZarrWriter:
     tile: int
     labels: bool
     force: bool
+
+    @property
+    def scale(self) -> dict[str, float]:
+        """The old name of `pixel_size`."""
+        return renamed("scale", self.pixel_size, "pixel_size", None) or {}
 
     def write_region(self, region: Region, values: ArrayLike) -> None:
         """Write values at slices, one an axis, or at the number of a plane.
@@ -174,6 +180,7 @@ def new_ome_zarr(
     labels: bool = False,
     resume: bool = False,
     force: bool = False,
+    scale: Mapping[str, float] | None = None,
 ) -> OmeZarrWriter:
     """Begin an OME-Zarr 0.5 store, beside its place and under a hidden name, `.NAME.part`.
 
@@ -208,6 +215,8 @@ def new_ome_zarr(
         invented; else the mean. Means of floats leave NaN out.
     resume, force : bool, optional
         Whether to go on with a part; whether to replace a store that is there.
+    scale : mapping of str to float, optional
+        The old name of `pixel_size`.
 
     Returns
     -------
@@ -232,6 +241,7 @@ def new_ome_zarr(
     ...     writer.finish().name
     'mask.ome.zarr'
     """
+    pixel_size = renamed("scale", scale, "pixel_size", pixel_size)
     need_large_extra()
     target = Path(path).absolute()
     about = plain_json("attributes", attributes)

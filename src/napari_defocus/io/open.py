@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import renamed
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
@@ -58,6 +59,11 @@ class Source:
     pixel_size: dict[str, float]
     units: dict[str, str]
     pictures: tuple[Path, ...] = ()
+
+    @property
+    def scale(self) -> dict[str, float]:
+        """The old name of `pixel_size`."""
+        return renamed("scale", self.pixel_size, "pixel_size", None) or {}
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import renamed
 from napari_defocus.core.writing import UnwritableResult, check_results, unused_name
 from napari_defocus.io.multiscale import halved, level_shapes
 from napari_defocus.io.provenance import mark_in_tiff, plain_json, signature
@@ -43,6 +44,7 @@ def write_pyramidal_tiff(
     description: Mapping[str, Any],
     labels: bool = False,
     force: bool = False,
+    scale: Mapping[str, float] | None = None,
 ) -> Path:
     """Write a map, a picture or a stack as a tiled TIFF with smaller levels.
 
@@ -71,6 +73,8 @@ def write_pyramidal_tiff(
         As in `napari_defocus.io.multiscale.halved`.
     force : bool, optional
         Whether a file that exists is overwritten.
+    scale : mapping, optional
+        The old name of `pixel_size`.
 
     Returns
     -------
@@ -93,6 +97,7 @@ def write_pyramidal_tiff(
     ...     made_by(file)["unit"], made_by(file)["shape"]
     ('px', [2, 600, 700])
     """
+    pixel_size = renamed("scale", scale, "pixel_size", pixel_size)
     _check_axes(tuple(data.shape), np.dtype(data.dtype), axes)
     # tifffile reads `axes` again, and takes capitals.
     form = {**signature(), "shape": tuple(data.shape), "axes": axes.upper()}
