@@ -116,6 +116,7 @@ def _shot_noise(rnd: Random) -> Call:
 @recipe("ShotNoise")
 def _shot_noise_at(rnd: Random) -> Call:
     arguments = {"read_variance": rnd.choice([0, 1e-6, 0.5]), "gain": rnd.choice([0.0, 1e-4, 2])}
+    arguments |= some(rnd, offset=[0.0, 0.0015, -0.1])
 
     def check(result: Any, given: dict[str, Any]) -> None:
         assert (np.asarray(result.variance_at(np.linspace(0, 1, 5))) >= 0).all()

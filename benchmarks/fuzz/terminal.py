@@ -33,6 +33,7 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
     "--color-sigma": _NUMBERS,
     "--mode": ("curve", "paper", "none"),
     "--linearize": ("srgb", "none"),
+    "--camera-softness": ("0", "0.6", "5.1", "-1", "soft"),
     "--threshold": _NUMBERS,
     "--min-confidence": _NUMBERS,
     "--risk": _NUMBERS,
