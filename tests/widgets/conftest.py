@@ -62,6 +62,27 @@ def _nothing_kept(request, monkeypatch):
     monkeypatch.setattr(ImagePanel, "cache", JobCache())
 
 
+@pytest.fixture(autouse=True)
+def _no_thread_searches_for_garbage():
+    """While a test has windows, no thread of ours may find what is left of them.
+
+    Python searches for garbage in whichever thread makes objects. What is Qt's is then deleted by the
+    main thread, at its next chance (Shiboken::BindingManager::runDeletionInMainThread), and PySide6
+    6.11 now and then calls a destructor there that is gone: a segmentation fault, mostly in a later
+    test, of threads that have nothing to do with windows.
+    """
+    gc.disable()
+    yield
+    gc.enable()
+    gc.collect(1)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _no_garbage_is_left_to_other_files():
+    yield
+    gc.collect()
+
+
 class PatientQtBot(QtBot):
     """Waits for what has to come however long it takes; no test may depend on how long."""
 
