@@ -66,10 +66,10 @@ def _nothing_kept(request, monkeypatch):
 def _no_thread_searches_for_garbage():
     """While a test has windows, no thread of ours may find what is left of them.
 
-    Python searches for garbage in whichever thread makes objects. What is Qt's is then deleted by the
-    main thread, at its next chance (Shiboken::BindingManager::runDeletionInMainThread), and PySide6
-    6.11 now and then calls a destructor there that is gone: a segmentation fault, mostly in a later
-    test, of threads that have nothing to do with windows.
+    Python searches for garbage in whichever thread makes objects. What is Qt's is then deleted by
+    the main thread, at its next chance (Shiboken::BindingManager::runDeletionInMainThread), and
+    PySide6 6.11 now and then calls a destructor there that is gone: a segmentation fault, mostly in
+    a later test, of threads that have nothing to do with windows.
     """
     gc.disable()
     yield
