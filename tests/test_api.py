@@ -1,10 +1,11 @@
 """The public names, what importing them costs, and the examples in their docstrings."""
 
 import doctest
-import pkgutil
+import os
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -72,10 +73,15 @@ PUBLIC = {
     "simulate_layered_defocus",
 }
 
+PACKAGE = Path(napari_defocus.__file__).parent
+
+OLD_PLACES = {"cluster.py", "ome_zarr_writer.py", "sources.py", "tiff_stacks.py"}
+
 MODULES = [
-    module.name
-    for module in pkgutil.iter_modules(napari_defocus.__path__)
-    if module.name != "widgets"
+    str(path.relative_to(PACKAGE).with_suffix("")).replace(os.sep, ".")
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if path.name != "__init__.py"
+    and path.relative_to(PACKAGE).parts[0] not in {"widgets", *OLD_PLACES}
 ]
 
 
