@@ -2,15 +2,15 @@
 
     python benchmarks/lenses.py --data FOLDER_OF_SHARP_PICTURES
 
-Pictures are blurred by a ramp from 1 to 7 px (for the Gaussian, twice its standard deviation)
-with the PSFs of several lenses, and analysed with the right family, with discs, and with
-families that were calibrated from 9 settings of the lens, 0 to 8 px: from one point source each,
-with noise of 2 % of its peak, and from blurred and sharp versions of the first picture.
+Pictures are blurred by a ramp of the blur radius from 1 to 7 px with the PSFs of several lenses,
+and analysed with the right family, with discs, and with families that were calibrated from 9
+settings of the lens, 0 to 8 px: from one point source each, with noise of 2 % of its peak, and
+from blurred and sharp versions of the first picture.
 
 Prints a Markdown table: the mean over the pictures of the absolute error (MAE, px), its ratio to
 that of discs on discs and to that of the lens' own family, the MAE of the median picture, the
-bias (px), and the share of pixels within 0.5 px. With the wrong family, scales do not even mean
-the same.
+bias (px), and the share of pixels within 0.5 px. The scale of every family is the blur radius, so
+that the error with the wrong one is that of what the lens takes from the picture, not of a unit.
 """
 
 import argparse
@@ -41,14 +41,13 @@ def main() -> None:
     print("|---" * 8 + "|")
     discs = None
     for lens, families in cases(pictures[0], arguments.noise).items():
-        unit = 2 if isinstance(lens, Gaussian) else 1
         blurred = [
-            simulate_defocus(picture, truth / unit, psf=lens, noise_variance=arguments.noise, rng=0)
+            simulate_defocus(picture, truth, psf=lens, noise_variance=arguments.noise, rng=0)
             for picture in pictures
         ]
         own = None
         for name, family in families.items():
-            errors = [unit * estimate_blur_map(b, psf=family) - truth for b in blurred]
+            errors = [estimate_blur_map(b, psf=family) - truth for b in blurred]
             error = np.mean(np.abs(errors))
             discs, own = discs or error, own or error
             print(

@@ -99,8 +99,8 @@ Ramps go from 0.9 to 5.1 px, bumps from 0.5 to 7 px; uniform blur is 0 to 8 px. 
 ellipses one before the other, and the motorcycle of scikit-image has a measured depth, in linear
 light, 8 bits; both hide what is behind them. Sharp pictures are never perfectly sharp: their own
 blur adds to the true radius, which counts at 1 px and below. Lenses that are no disc are
-analysed as discs; a Gaussian counts as twice its standard deviation, an annulus by its outer
-radius. The camera is that of `benchmarks/camera.py`."""
+analysed as discs; the radius is that of the disc with the same second moment. The camera is
+that of `benchmarks/camera.py`."""
 
 MEASURES_TEXT = """\
 Means over the pictures (times, memory: medians over the runs); the best of a row is bold, but

@@ -18,7 +18,6 @@ from scipy.ndimage import distance_transform_edt
 
 from napari_defocus import (
     Disc,
-    Gaussian,
     PSFFamily,
     psf_from_text,
     simulate_defocus,
@@ -158,11 +157,10 @@ class Scenes:
         return self._blurred(bumps(), variance, lens)
 
     def _blurred(self, truth: np.ndarray, variance: float, lens: PSFFamily) -> Iterator[tuple]:
-        unit = 2 if isinstance(lens, Gaussian) else 1
         for number, (name, source) in enumerate(self.sources.items()):
             rng = np.random.default_rng([self.seed, number])
             seen = simulate_defocus(
-                middle(source), truth / unit, psf=lens, noise_variance=variance, rng=rng
+                middle(source), truth, psf=lens, noise_variance=variance, rng=rng
             )
             yield name, seen, truth
 

@@ -44,7 +44,7 @@ def _disc(rnd: Random) -> Call:
 
 @recipe("Gaussian")
 def _gaussian(rnd: Random) -> Call:
-    return _family_call(nd.Gaussian, {"max_sigma": rnd.choice([1, 2.5, np.int16(4)])}, rnd)
+    return _family_call(nd.Gaussian, {"max_radius": rnd.choice([1, 2.5, np.int16(4)])}, rnd)
 
 
 @recipe("Annulus")
@@ -61,7 +61,7 @@ def _polygon(rnd: Random) -> Call:
 
 @recipe("GeneralizedGaussian")
 def _generalized(rnd: Random) -> Call:
-    asked = {"exponent": rnd.choice([1.0, 2, 5.0]), "max_sigma": rnd.choice([1.0, 4])}
+    asked = {"exponent": rnd.choice([1.0, 2, 5.0]), "max_radius": rnd.choice([1.0, 4])}
     return _family_call(nd.GeneralizedGaussian, asked, rnd)
 
 
@@ -82,7 +82,7 @@ def _measured(rnd: Random) -> Call:
     return _family_call(nd.MeasuredPSF, asked, rnd)
 
 
-_FAMILY = ("psf", "max_radius", "max_sigma", "obstruction", "blades", "exponent", "cannot read")
+_FAMILY = ("psf", "max_radius", "obstruction", "blades", "exponent", "cannot read")
 
 
 @recipe("psf_from_text")
@@ -155,13 +155,13 @@ def _from_depth(rnd: Random) -> Call:
         assert result.dtype == np.float32
         assert not (result < 0).any()
 
-    return Call(nd.blur_from_depth, arguments | some(rnd, psf=[family(rnd)]), check)
+    return Call(nd.blur_from_depth, arguments, check)
 
 
 @recipe("depth_from_blur")
 def _to_depth(rnd: Random) -> Call:
     arguments = {"blur_map": map_for(rnd, (9, 8)), "lens": nd.ThinLens(**_lens_numbers(rnd))}
-    asked = some(rnd, side=["far", "near", np.ones((9, 8), bool)], psf=[family(rnd)])
+    asked = some(rnd, side=["far", "near", np.ones((9, 8), bool)])
     focused = math.isfinite(arguments["lens"].focus_distance_m)
 
     def check(result: Any, given: dict[str, Any]) -> None:

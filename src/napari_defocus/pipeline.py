@@ -239,7 +239,11 @@ def read_map(
     """Read a map that `map` wrote, for a picture of a height and width."""
     import numpy as np
 
+    from napari_defocus.io.encoders import check_unit, description_in_tiff
+
     scales = _read_values(path, shape, "a blur map: values in px, as map writes them (.tif)")
+    if path.suffix.lower() in (".tif", ".tiff"):
+        check_unit(description_in_tiff(path), path)
     known = scales[~np.isnan(scales)]
     if not known.size:
         raise ValueError(f"{path} has nothing but NaN; it takes a map that is known somewhere")
@@ -290,11 +294,9 @@ def _read_values(path: Path, shape: tuple[int, ...], what: str) -> NDArray[Any]:
 
 def _family_up_to(largest: float, settings: MapSettings) -> PSFFamily:
     """Return the family of the settings, with a domain that goes up to a scale if it can."""
-    from napari_defocus.psf.families import radius_per_scale
     from napari_defocus.psf.parsing import psf_of
 
-    largest_radius = radius_per_scale(settings.family()) * largest
-    return psf_of(settings.psf, max(settings.max_radius, largest_radius))
+    return psf_of(settings.psf, max(settings.max_radius, largest))
 
 
 def used(found: BlurCandidates | Measurement, settings: MapSettings) -> dict[str, Any]:

@@ -59,8 +59,7 @@ class MapSettings:
     psf : str
         The PSF family, as `napari_defocus.psf_from_text` reads it.
     max_radius : float
-        Largest blur radius that is looked for, in px; see `psf_of` for families whose scale is
-        no radius.
+        Largest blur radius that is looked for, in px, see `psf_of`.
     window : int
         Side N of the analysis window, in px; odd.
     stride : int
@@ -116,13 +115,6 @@ class MapSettings:
         return psf_of(self.psf, self.max_radius)
 
 
-def usual_threshold(family: PSFFamily) -> float:
-    """Return the default threshold of a mask in a family's own scale, in px, see `psf_of`."""
-    from napari_defocus.psf.families import radius_per_scale
-
-    return MaskSettings.threshold / radius_per_scale(family)
-
-
 @dataclass(frozen=True, kw_only=True)
 class MaskSettings:
     """What shapes an in-focus mask, given the candidates.
@@ -130,8 +122,7 @@ class MaskSettings:
     Attributes
     ----------
     threshold : float
-        tau of (18): the largest radius, in px, that counts as in focus; for families whose
-        scale is no radius, the largest scale, see `usual_threshold`.
+        tau of (18): the largest blur radius, in px, that counts as in focus.
     smoothness : float
         lambda_0 of (16) for the mask.
     color_sigma : float

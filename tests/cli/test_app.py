@@ -240,25 +240,25 @@ def test_lens_and_light_reach_the_function(picture, instant, command):
     assert result.exit_code == 0, result.output
     assert instant["candidates"]["psf"] == Polygon(6, 15.0)
     assert instant["candidates"]["linearize"] == "srgb"
-    assert "polygon:6:15, scale: equal-area radius (px)" in result.stdout
+    assert "polygon:6:15, scale: blur radius (px)" in result.stdout
 
 
-@pytest.mark.parametrize(("psf", "threshold"), [("annulus:0.5", 2.0), ("gaussian", 1.0)])
-def test_threshold_of_a_gaussian_is_a_standard_deviation(picture, instant, psf, threshold):
+@pytest.mark.parametrize("psf", ["annulus:0.5", "gaussian"])
+def test_threshold_is_a_blur_radius_whatever_the_lens(picture, instant, psf):
     assert run("segment", picture, "--psf", psf).exit_code == 0
-    assert instant["mask"]["threshold"] == threshold
+    assert instant["mask"]["threshold"] == 2.0
     result = run("segment", picture, "--psf", psf, "--threshold", 1.7, "--force")
     assert result.exit_code == 0, result.output
     assert instant["mask"]["threshold"] == 1.7
 
 
-def test_gaussian_is_looked_for_up_to_half_the_radius(picture, instant):
+def test_gaussian_is_looked_for_up_to_the_blur_radius(picture, instant):
     result = run("map", picture, "--psf", "gaussian", "--max-radius", 6)
-    assert instant["candidates"]["psf"] == Gaussian(3.0)
-    assert "standard deviation (px)" in result.stdout
+    assert instant["candidates"]["psf"] == Gaussian(6.0)
+    assert "gaussian, scale: blur radius (px)" in result.stdout
     with tifffile.TiffFile(picture.with_name("seed-blur.tif")) as tiff:
         description = json.loads(tiff.pages[0].description)
-    assert description["quantity"] == "defocus blur standard deviation"
+    assert description["quantity"] == "defocus blur radius"
     assert description["settings"]["psf"] == "gaussian"
 
 
@@ -384,8 +384,7 @@ def test_calibrate_measures_the_scales_and_is_asked_before_it_overwrites(
     assert_fails_in_one_line(run(*arguments), saying="exists already")
     assert path.read_bytes() == b"mine"
     facts = json.loads(run(*arguments, "--force", "--max-scale", 4).stdout)
-    disc_like = np.array([1, 3, 5]) * np.sqrt(1 + 0.4**2)
-    np.testing.assert_allclose(facts["scales_px"][1:], disc_like[1:], rtol=0.03)
+    np.testing.assert_allclose(facts["scales_px"][1:], [3, 5], rtol=0.03)
     assert facts["scales_were"] == "measured"
     assert facts["max_scale_px"] == MeasuredPSF.load(path).max_scale == 4
     assert facts["files"] == [str(path)]
@@ -454,7 +453,7 @@ def test_compare_psf_puts_the_right_lens_first(seen_through_a_mirror_lens, tmp_p
     table = result.stdout[result.stdout.index("log evidence") :].splitlines()[1:5]
     assert {line.split()[0] for line in table} == set(families)
     assert table[0].startswith("annulus:0.5")
-    assert table[0].endswith("outer radius 5.0 px")
+    assert table[0].endswith("blur radius 5.0 px")
     facts = json.loads(run("compare-psf", seen_through_a_mirror_lens, *options, "--json").stdout)
     assert facts["best"] == facts["families"][0]["psf"] == "annulus:0.5"
     assert facts["families"][0]["median_px"] == pytest.approx(5, abs=0.2)
@@ -523,12 +522,6 @@ def test_mask_has_its_own_smoothness_in_a_settings_file(picture, instant):
     assert instant["mask"]["threshold"] == 3
 
 
-def test_threshold_follows_the_lens_unless_the_settings_file_says_it(picture, instant):
-    file = settings_file(picture, map={"psf": "gaussian"})
-    assert run("segment", picture, "--settings", file).exit_code == 0
-    assert instant["mask"]["threshold"] == MaskSettings.threshold / 2
-
-
 @pytest.mark.parametrize(
     ("said", "option", "noise"),
     [
@@ -581,9 +574,9 @@ def test_settings_that_were_used_are_saved_and_used_again(picture, instant, comm
 def test_saved_settings_say_nothing_of_what_was_not_used(picture, instant):
     saved = picture.with_name("saved.json")
     assert run("map", picture, "--psf", "gaussian", "--save-settings", saved).exit_code == 0
-    assert json.loads(saved.read_text()).keys() == {"napari_defocus", "map"}
+    assert json.loads(saved.read_text()).keys() == {"napari_defocus", "unit", "map"}
     assert run("segment", picture, "--settings", saved).exit_code == 0
-    assert instant["mask"]["threshold"] == MaskSettings.threshold / 2
+    assert instant["mask"]["threshold"] == MaskSettings.threshold
 
 
 @pytest.mark.parametrize(

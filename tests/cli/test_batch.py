@@ -100,11 +100,6 @@ def test_options_win_over_the_settings_file(pictures, address, asked):
     assert asked["settings"].mask == MaskSettings(threshold=3.0, smoothness=300.0)
 
 
-def test_threshold_of_a_gaussian_is_half_as_large(pictures, address, asked):
-    assert run_batch(address, "--psf", "gaussian").exit_code == 0
-    assert asked["settings"].mask.threshold == 1.0
-
-
 @pytest.mark.parametrize(
     ("arguments", "saying"),
     [

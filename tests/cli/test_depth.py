@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 import napari_defocus
-from napari_defocus import Disc, Settings, ThinLens, depth_from_blur
+from napari_defocus import Settings, ThinLens, depth_from_blur
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.settings import MapSettings
 
@@ -199,11 +199,11 @@ def test_gaps_of_a_map_have_no_distance_and_confidence_may_be_given(folder, scal
     assert_fails_in_one_line(result, saying="map_confidence")
 
 
-def test_scale_of_a_gaussian_is_half_a_radius(folder, instant):
+def test_distance_is_the_same_whatever_the_lens(folder, instant):
     result = run("depth", folder / "p.png", *GIVEN, "--psf", "gaussian")
     assert result.exit_code == 0, result.output
     values = tifffile.imread(folder / "p-depth.tif")
-    np.testing.assert_allclose(values, depth_from_blur(8.0, LENS, psf=Disc()))
+    np.testing.assert_allclose(values, depth_from_blur(4.0, LENS))
 
 
 @pytest.mark.parametrize(

@@ -275,7 +275,7 @@ def test_distance_that_shall_be_sharp_is_a_blur_on_its_side(folder, instant, sid
     change = ["refocus", folder / "p.png", "--sharp-at", distance, *LENS_OPTIONS]
     result = run(*change, "--side", side, "--psf", "gaussian", "--json")
     assert result.exit_code == 0, result.output
-    blur = float(blur_from_depth(distance, LENS, psf=Gaussian()))
+    blur = float(blur_from_depth(distance, LENS))
     same_side = (distance > 2) == (side == "far")
     assert instant["change_focus"]["focus"] == pytest.approx(blur if same_side else -blur)
     facts = json.loads(result.stdout, parse_constant=pytest.fail)
@@ -354,7 +354,7 @@ def test_distance_that_is_given_wins_over_the_focus_of_a_settings_file(folder, i
 @pytest.mark.parametrize(("said", "psf"), [("gaussian", Gaussian), (None, Annulus)])
 def test_lens_of_a_map_wins_over_that_of_a_settings_file(folder, instant, said, psf):
     values = np.full((HEIGHT, WIDTH), 2.0, np.float32)
-    content = blur_map_tiff(values, {"psf": said} if said else {}, "px")
+    content = blur_map_tiff(values, {"psf": said} if said else {}, "blur radius (px)")
     (folder / "blur.tif").write_bytes(content)
     file = settings_file(folder, map={"psf": "annulus:0.5"})
     given = ["--map", folder / "blur.tif", "--settings", file]
@@ -429,6 +429,16 @@ def test_map_may_go_beyond_the_largest_radius(folder, instant, psf, max_scale):
     given = ["--map", folder / "blur.tif", "--psf", psf]
     assert run("restore", folder / "p.png", *given).exit_code == 0
     assert instant["restore_all_in_focus"]["psf"].max_scale == max_scale
+
+
+@pytest.mark.parametrize(
+    "unit", ["standard deviation (px)", "outer radius (px)", "equal-area radius (px)"]
+)
+def test_map_in_an_early_unit_of_its_lens_is_not_read_as_radii(folder, instant, unit):
+    values = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    (folder / "blur.tif").write_bytes(blur_map_tiff(values, {"psf": "gaussian"}, unit))
+    result = run("restore", folder / "p.png", "--map", folder / "blur.tif")
+    assert_fails_in_one_line(result, saying="it takes the blur radius")
 
 
 def test_map_may_not_go_beyond_what_was_calibrated(folder, instant):

@@ -134,7 +134,7 @@ def test_stacks_of_maps_keep_their_values_and_shape(tmp_path, shape):
 
 def test_file_says_what_it_holds(tmp_path, ramp):
     for content, held in [
-        (blur_map_tiff(ramp, {}, "standard deviation (px)"), "blur map"),
+        (blur_map_tiff(ramp, {}, "length (px)"), "blur map"),
         (confidence_tiff(ramp / 8, {}), "confidence"),
         (depth_tiff(ramp, {}), None),
     ]:

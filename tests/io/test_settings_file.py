@@ -75,6 +75,7 @@ def test_file_can_be_read_by_people_and_says_what_wrote_it(file):
     assert '    "psf": "Objektiv für grün.npz",' in lines
     assert list(json.loads("\n".join(lines))) == [
         "napari_defocus",
+        "unit",
         "map",
         "mask",
         "restoration",
@@ -113,6 +114,17 @@ def test_lens_is_looked_for_when_it_is_used(file):
     assert Settings.load(file).map.psf == "not here.npz"
     with pytest.raises(ValueError, match="no such file"):
         Settings.load(file).map.family()
+
+
+def test_px_of_a_lens_that_had_another_unit_once_are_not_read_as_radii(file):
+    early = {"napari_defocus": "0.1.0", "map": {"psf": "gaussian"}, "mask": {"threshold": 1.0}}
+    written(file, early)
+    with pytest.raises(ValueError, match=r'early unit of .* "gaussian"; .* add "unit": "blur'):
+        Settings.load(file)
+    written(file, early | {"unit": "blur radius (px)"})
+    assert Settings.load(file).mask.threshold == 1.0
+    written(file, early | {"map": {"psf": "disc"}})
+    assert Settings.load(file).mask.threshold == 1.0, "those of discs have always been radii"
 
 
 @pytest.mark.parametrize(

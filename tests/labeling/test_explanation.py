@@ -182,7 +182,7 @@ def test_drawing_shows_curve_candidates_and_the_map_with_units(candidates, maps)
     assert told.radii[0] in lines["candidates"].get_xdata()
     assert lines["map"].get_xdata()[0] == told.blur
     assert axes.patches[0].get_width() == pytest.approx(1.0)
-    assert axes.get_xlabel() == "radius (px)"
+    assert axes.get_xlabel() == "blur radius (px)"
     assert f"confidence {told.confidence:.2f}" in axes.get_title()
     assert axes.get_ylim() == (-20, 1)
 

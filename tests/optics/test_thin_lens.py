@@ -8,11 +8,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from napari_defocus import (
-    Annulus,
-    Disc,
-    Gaussian,
-    GeneralizedGaussian,
-    Polygon,
     ThinLens,
     blur_from_depth,
     depth_from_blur,
@@ -138,22 +133,6 @@ def test_what_is_not_known_stays_so():
     np.testing.assert_array_equal(np.isnan(blur_from_depth(blur, PORTRAIT)), np.isnan(blur))
 
 
-@pytest.mark.parametrize(
-    ("psf", "radius_of_1_px"),
-    [
-        (Gaussian(), 2),
-        (GeneralizedGaussian(4.0), 2),
-        (Disc(), 1),
-        (Annulus(0.3), 1),
-        (Polygon(6), 1),
-    ],
-)
-def test_standard_deviation_is_half_a_radius(psf, radius_of_1_px):
-    depth = depth_from_blur([radius_of_1_px], PORTRAIT)
-    np.testing.assert_allclose(depth_from_blur([1.0], PORTRAIT, psf=psf), depth)
-    np.testing.assert_allclose(blur_from_depth(depth, PORTRAIT, psf=psf), [1.0], rtol=1e-5)
-
-
 @pytest.mark.parametrize("texture", ["grass", "clouds"])
 @pytest.mark.parametrize(
     ("lens", "side", "nearest", "farthest"),
@@ -243,9 +222,7 @@ def test_nothing_lies_beyond_infinity(side):
         depth_from_blur([1.0, 2.0], LANDSCAPE, side=side)
 
 
-def test_other_things_for_a_lens_or_a_family_are_type_errors():
+def test_other_things_for_a_lens_are_type_errors():
     for function in (depth_from_blur, blur_from_depth):
         with pytest.raises(TypeError, match="lens is 50; it takes a ThinLens"):
             function([1.0], 50)
-        with pytest.raises(TypeError, match="psf is 'disc'; it takes a PSF family"):
-            function([1.0], PORTRAIT, psf="disc")

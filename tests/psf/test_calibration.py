@@ -40,7 +40,7 @@ def test_radius_is_that_of_the_disc_with_the_same_second_moment(radius):
     assert disc_radius(Disc().kernel(radius)) == pytest.approx(radius, abs=1e-6)
     assert disc_radius(Polygon(6).kernel(radius)) == pytest.approx(radius, rel=0.02)
     if radius > 1:
-        assert disc_radius(Gaussian().kernel(radius / 2)) == pytest.approx(radius, rel=0.03)
+        assert disc_radius(Gaussian().kernel(radius)) == pytest.approx(radius, rel=0.03)
 
 
 def test_point_is_as_wide_as_nothing():

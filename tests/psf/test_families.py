@@ -66,18 +66,18 @@ def ring(radius, obstruction):
     return lambda y, x: disc(radius)(y, x) & ~disc(obstruction * radius)(y, x)
 
 
-def profile(sigma, exponent):
-    """exp(-(rho / alpha)^exponent), scaled to a standard deviation of sigma by brute force."""
+def profile(radius, exponent):
+    """exp(-(rho / alpha)^exponent), scaled to a standard deviation of radius / 2 by brute force."""
     rho = np.linspace(0, 40, 400_001)
     density = np.exp(-(rho**exponent))
-    alpha = sigma * np.sqrt(2 * np.sum(density * rho) / np.sum(density * rho**3))
+    alpha = radius / 2 * np.sqrt(2 * np.sum(density * rho) / np.sum(density * rho**3))
     return lambda y, x: np.exp(-((np.hypot(y, x) / alpha) ** exponent))
 
 
-def polygon(radius, blades, rotation):
+def polygon(corner, blades, rotation):
     """The points on the inner side of every edge; y grows upwards."""
     turn = 2 * np.pi / blades
-    inscribed = radius * np.sqrt(turn / np.sin(turn)) * np.cos(turn / 2)
+    inscribed = corner * np.cos(turn / 2)
     normals = np.deg2rad(rotation) + turn * (np.arange(blades) + 0.5)
     return lambda y, x: np.all(
         [x * np.cos(angle) + y * np.sin(angle) <= inscribed for angle in normals], axis=0
@@ -133,11 +133,11 @@ def test_disc_is_the_same_after_flips_and_transposition(radius):
     ("psf", "light"),
     [
         (Disc(), disc),
-        (Annulus(0.5), lambda scale: ring(scale, 0.5)),
-        (Annulus(0.9), lambda scale: ring(scale, 0.9)),
-        (Polygon(3, rotation=90.0), lambda scale: polygon(scale, 3, 90.0)),
-        (Polygon(5, rotation=10.0), lambda scale: polygon(scale, 5, 10.0)),
-        (Polygon(6), lambda scale: polygon(scale, 6, 0.0)),
+        (Annulus(0.5), lambda scale: ring(scale / np.sqrt(1.25), 0.5)),
+        (Annulus(0.9), lambda scale: ring(scale / np.sqrt(1.81), 0.9)),
+        (Polygon(3, rotation=90.0), lambda scale: polygon(scale * np.sqrt(2), 3, 90.0)),
+        (Polygon(4, rotation=10.0), lambda scale: polygon(scale * np.sqrt(1.5), 4, 10.0)),
+        (Polygon(6), lambda scale: polygon(scale * np.sqrt(1.2), 6, 0.0)),
         (GeneralizedGaussian(6.0), lambda scale: profile(scale, 6.0)),
     ],
 )
@@ -148,10 +148,10 @@ def test_kernel_holds_the_light_that_falls_on_each_pixel(psf, light, scale):
 
 
 @pytest.mark.parametrize("psf", [Gaussian(), GeneralizedGaussian(2.0), GeneralizedGaussian(1.0)])
-@pytest.mark.parametrize("sigma", [0.3, 0.7, 1.5, 3.0])
-def test_soft_kernel_holds_the_light_that_falls_on_each_pixel(psf, sigma):
-    kernel = psf.kernel(sigma)
-    light = profile(sigma, getattr(psf, "exponent", 2.0))
+@pytest.mark.parametrize("radius", [0.6, 1.4, 3.0, 6.0])
+def test_soft_kernel_holds_the_light_that_falls_on_each_pixel(psf, radius):
+    kernel = psf.kernel(radius)
+    light = profile(radius, getattr(psf, "exponent", 2.0))
     expected = supersampled(light, len(kernel) // 2 + 5, finer=30)
     # 1e-4 of the light are cut off.
     assert np.abs(framed(kernel, len(expected)) - expected).sum() < 1e-3
@@ -161,8 +161,8 @@ def test_soft_kernel_holds_the_light_that_falls_on_each_pixel(psf, sigma):
 def test_families_meet_where_their_shapes_do(scale):
     pairs = [
         (Gaussian().kernel(scale), GeneralizedGaussian(2.0).kernel(scale), 5e-4),
-        (Disc().kernel(2 * scale), GeneralizedGaussian(np.inf).kernel(scale), 1e-12),
-        (Disc().kernel(2 * scale), Polygon(200).kernel(2 * scale), 1e-3),
+        (Disc().kernel(scale), GeneralizedGaussian(np.inf).kernel(scale), 1e-12),
+        (Disc().kernel(scale), Polygon(200).kernel(scale), 1e-3),
         (Disc().kernel(scale), Annulus(0.0).kernel(scale), 1e-12),
         (Disc().kernel(scale), Annulus(5e-324).kernel(scale), 1e-12),
         (Polygon(4).kernel(scale), Polygon(4, rotation=-90.0).kernel(scale), 1e-9),
@@ -173,24 +173,32 @@ def test_families_meet_where_their_shapes_do(scale):
 
 
 @pytest.mark.parametrize(
-    ("psf", "variance"),
+    "psf",
     [
-        (Disc(), 1 / 4),
-        (Annulus(0.6), (1 + 0.6**2) / 4),
-        (Polygon(6), np.pi / (3 * np.sin(np.pi / 3)) * (2 + np.cos(np.pi / 3)) / 12),
-        (Gaussian(), 1),
-        (GeneralizedGaussian(1.0), 1),
-        (GeneralizedGaussian(10.0), 1),
+        *(Disc(), Annulus(0.6), Polygon(3, rotation=20), Polygon(4), Polygon(6)),
+        *(Gaussian(), GeneralizedGaussian(1.0), GeneralizedGaussian(10.0)),
     ],
+    ids=repr,
 )
 @pytest.mark.parametrize("scale", [4.0, 8.0])
-def test_variance_grows_with_the_square_of_the_scale(psf, variance, scale):
+def test_scale_of_every_family_is_twice_the_standard_deviation(psf, scale):
+    assert psf.scale_name == "blur radius (px)"
     kernel = psf.kernel(scale)
     place = np.arange(len(kernel)) - len(kernel) // 2
     for weights in (kernel.sum(axis=0), kernel.sum(axis=1)):
         # The pixels' own extent adds 1/12 px^2.
         found = np.sum(weights * place**2) - 1 / 12
-        np.testing.assert_allclose(found, variance * scale**2, rtol=0.02)
+        np.testing.assert_allclose(2 * np.sqrt(found), scale, rtol=0.01)
+
+
+def test_scales_of_their_own_are_still_known():
+    radii = np.array([0.0, 4.0])
+    np.testing.assert_array_equal(Gaussian().sigma(radii), [0, 2])
+    assert GeneralizedGaussian(6.0).sigma(3.0) == 1.5
+    assert Annulus(0.75).outer_radius(5.0) == 4.0
+    area = 2 * (3.0 * np.sqrt(1.5)) ** 2  # of a square whose corners are that far out
+    assert Polygon(4).equal_area_radius(3.0) == pytest.approx(np.sqrt(area / np.pi))
+    np.testing.assert_allclose(Polygon(200).equal_area_radius(radii), radii, rtol=1e-4)
 
 
 def test_disc_up_to_half_a_pixel_is_a_point():
@@ -199,11 +207,11 @@ def test_disc_up_to_half_a_pixel_is_a_point():
 
 
 def test_polygon_turns_counter_clockwise_and_is_not_mirrored():
-    up = Polygon(3, rotation=90.0).kernel(4.0)
+    up = Polygon(3, rotation=90.0).kernel(4.4)
     np.testing.assert_allclose(up[:, ::-1], up, atol=1e-12)
     assert np.argmax(up.sum(axis=1)) > len(up) // 2
     # A corner at 45 degrees is on the upper right.
-    right = Polygon(3, rotation=45.0).kernel(4.0)
+    right = Polygon(3, rotation=45.0).kernel(4.4)
     middle = len(right) // 2
     assert right[middle - 4, middle + 4] > 0.01
     assert right[middle + 4, middle - 4] < 1e-12
@@ -220,10 +228,10 @@ def test_polygon_turns_counter_clockwise_and_is_not_mirrored():
         (Polygon, {"blades": 2}, "blades is 2; it takes a whole number from 3 up"),
         (Polygon, {"rotation": np.inf}, "rotation is inf; it takes a finite number of degrees"),
         (Polygon, {"max_radius": -3}, "max_radius is -3; it takes a number from 1 px up"),
-        (Gaussian, {"max_sigma": 0}, "max_sigma is 0; it takes a number from 1 px up"),
+        (Gaussian, {"max_radius": 0}, "max_radius is 0; it takes a number from 1 px up"),
         (GeneralizedGaussian, {"exponent": 0.9}, "exponent is 0.9; it takes a number from 1 up"),
         (GeneralizedGaussian, {"exponent": np.nan}, "exponent is nan; it takes"),
-        (GeneralizedGaussian, {"max_sigma": np.nan}, "max_sigma is nan; it takes"),
+        (GeneralizedGaussian, {"max_radius": np.nan}, "max_radius is nan; it takes"),
         (KernelFunction, {"function": from_function, "max_scale": 0.5}, "max_scale is 0.5; it"),
     ],
 )
@@ -359,7 +367,7 @@ class TestMeasuredPSF:
 
     def test_lens_that_is_soft_in_focus_stays_so_below_the_smallest_blur(self):
         def soft_disc(radius):
-            return convolve(framed(Disc().kernel(radius), 13), Gaussian().kernel(0.6))
+            return convolve(framed(Disc().kernel(radius), 13), Gaussian().kernel(1.2))
 
         scales = [0, 2, 4]
         lens = MeasuredPSF(scales, [framed(soft_disc(scale), 19) for scale in scales])

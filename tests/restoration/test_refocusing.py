@@ -274,7 +274,7 @@ def test_arguments_are_left_as_they_were(taken, restored):
         Annulus(0.3, max_radius=4),
         Polygon(5, max_radius=4),
         Gaussian(4),
-        GeneralizedGaussian(4.0, max_sigma=4),
+        GeneralizedGaussian(4.0, max_radius=4),
         MeasuredPSF([2, 4], [np.pad(Disc().kernel(r), 4 - r) for r in (2, 4)]),
     ],
 )

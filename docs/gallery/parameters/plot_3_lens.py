@@ -4,8 +4,9 @@ Lens and largest radius
 
 What a lens makes of a point, and how much of it is looked for.
 
-Every family of PSFs is indexed by one scale in px. An iris is nearly a disc; a mirror lens or a
-microscope at its diffraction limit is not, and then the wrong family makes errors of pixels.
+Every family of PSFs is indexed by its blur radius in px: the radius of the disc with the same
+second moment, twice the standard deviation along an axis. An iris is nearly a disc; a mirror lens
+or a microscope at its diffraction limit is not, and then the wrong family makes errors of pixels.
 """
 
 import numpy as np
@@ -30,7 +31,7 @@ families = {
 }
 figure, axes = plt.subplots(1, 4, figsize=(7.4, 2.2))
 for each, (name, family) in zip(axes, families.items(), strict=True):
-    kernel = family.kernel(3.0 if name == "Gaussian()" else 6.0)
+    kernel = family.kernel(6.0)
     half = len(kernel) / 2
     each.imshow(kernel, cmap="gray", extent=(-half, half, half, -half))
     each.set(title=name, xlim=(-9, 9), ylim=(9, -9))
@@ -38,17 +39,16 @@ for each, (name, family) in zip(axes, families.items(), strict=True):
 
 # %%
 # The same ramp from 2 to 6 px, seen by each lens, and measured as if it was a disc and with its own
-# family. A Gaussian's scale is a standard deviation, half of the radius of a disc that is as wide.
+# family. Px mean the same in all maps.
 
 sharp = gravel()[:320, :320].reshape(160, 2, 160, 2).mean(axis=(1, 3)) / 255
 truth = np.broadcast_to(np.linspace(2, 6, 160), (160, 160))
 
 seen = {}
 for name, family in families.items():
-    scale = 0.5 if name == "Gaussian()" else 1.0
-    seen[name] = simulate_defocus(sharp, scale * truth, psf=family, noise_variance=1e-6, rng=0)
+    seen[name] = simulate_defocus(sharp, truth, psf=family, noise_variance=1e-6, rng=0)
     as_disc = np.abs(estimate_blur_map(seen[name]) - truth).mean()
-    as_itself = np.abs(estimate_blur_map(seen[name], psf=family) / scale - truth).mean()
+    as_itself = np.abs(estimate_blur_map(seen[name], psf=family) - truth).mean()
     print(f"{name:12s} as a disc {as_disc:.2f} px, as itself {as_itself:.2f} px")
 
 # %%

@@ -103,6 +103,7 @@ class BatchPlan:
         return {
             "version": napari_defocus.__version__,
             "results": ", ".join(self.kinds),
+            "scale": self.settings.map.family().scale_name,
             **parts,
             "min_confidence": self.min_confidence,
             "intensity_range": self.intensity_range and list(self.intensity_range),

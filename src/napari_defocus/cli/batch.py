@@ -14,7 +14,7 @@ from napari_defocus.cli.command import Facts, command
 from napari_defocus.cli.console import complain
 from napari_defocus.cli.option_groups import MapOptions, RestorationOptions
 from napari_defocus.core.progress import Progress
-from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings, usual_threshold
+from napari_defocus.settings import BLOCK_SIZE, MaskSettings
 
 SOME_FAILED = 1
 """The exit code if the work was done, but not for all planes."""
@@ -87,7 +87,7 @@ def batch(
     workers: int | None = None,
     measuring: MapOptions,
     min_confidence: float = 0.0,
-    threshold: float | None = None,
+    threshold: float = MaskSettings.threshold,
     restoring: RestorationOptions,
     settings_file: Path | None = None,
     force: bool = False,
@@ -103,7 +103,7 @@ def batch(
 
     find_sources(inputs)  # what is not there is told before workers start
     restoration, map_settings = restoring.settings(), measuring.settings()
-    mask_settings = _mask_settings(settings_file, threshold, map_settings)
+    mask_settings = _mask_settings(settings_file, threshold)
     settings = napari_defocus.Settings(
         map=map_settings, mask=mask_settings, restoration=restoration
     )
@@ -135,12 +135,9 @@ def batch(
     }
 
 
-def _mask_settings(
-    settings_file: Path | None, threshold: float | None, map_settings: MapSettings
-) -> MaskSettings:
+def _mask_settings(settings_file: Path | None, threshold: float) -> MaskSettings:
     """Return what shapes masks: what options do not say is in the settings' file alone."""
     from napari_defocus.io.settings_file import Settings
 
     mask = MaskSettings() if settings_file is None else Settings.load(settings_file).mask
-    usual = usual_threshold(map_settings.family())
-    return replace(mask, threshold=usual if threshold is None else threshold)
+    return replace(mask, threshold=threshold)

@@ -91,7 +91,7 @@ def depth(
     check_side(side, lens)
     found = measuring.find(picture, settings, progress)
     trusted = found.trusted(min_confidence)
-    distance = napari_defocus.depth_from_blur(trusted, lens, side=side, psf=found.psf)
+    distance = napari_defocus.depth_from_blur(trusted, lens, side=side)
     facts = lens_facts(lens, thin_lens) | {"side": side}
     made_with = used(found, settings) | facts | {"min_confidence": min_confidence}
     contents = encoded(
@@ -123,5 +123,5 @@ def _reach(found: Measurement, lens: ThinLens, side: Side) -> float | None:
     """
     if found.map_file is not None:
         return None
-    limit = napari_defocus.depth_from_blur(found.psf.max_scale, lens, side=side, psf=found.psf)
+    limit = napari_defocus.depth_from_blur(found.psf.max_scale, lens, side=side)
     return float(limit) if math.isfinite(limit) else None

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 import typer
 
 from napari_defocus.cli.settings_options import options_from_file
-from napari_defocus.settings import MaskSettings
 
 Encoding = Literal["srgb", "linear"]
 """How files hold light; "linear" is None to the functions."""
@@ -67,7 +66,7 @@ def shown(
     return inspect.Parameter(name, kind, default=default, annotation=annotation)
 
 
-SHARED = entries_in(f"""
+SHARED = entries_in("""
 image IMAGE
     PNG, JPEG, TIFF, WebP or BMP; of a slide (.svs, .ndpi, .scn, .qptiff and the like), the
     largest level.
@@ -111,8 +110,7 @@ map_confidence PATH
 min_confidence NUMBER
     Leave pixels of a lower confidence out of the map: NaN in the values, grey in the drawing.
 threshold PX
-    Largest radius that counts as in focus, in px; for a Gaussian, the largest standard deviation.
-    [default: {MaskSettings.threshold:g}, or half of it for a Gaussian]
+    Largest blur radius that counts as in focus, in px.
 tv_weight NUMBER
     How smooth the picture in focus is: large for less noise, small for more detail. Derived from
     the noise if left out.

@@ -31,8 +31,6 @@ from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSet
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from napari_defocus.psf.families import PSFFamily
-
 MEASURING_SHARE = 0.2
 """Roughly how much of the time goes into the map; for the progress bar only."""
 
@@ -155,7 +153,7 @@ def refocus(
     _check_change(focus, sharp_at, aperture, thin_lens)
     check_endings(outputs, ".png", ".tif", ".tiff")
     picture = files.read(image, outputs, *measuring.files)
-    change = _focus_facts(image, focus, sharp_at, side, thin_lens, settings.family())
+    change = _focus_facts(image, focus, sharp_at, side, thin_lens)
     change |= {"aperture": aperture, "side": side, "encoding": encoding}
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
@@ -256,14 +254,13 @@ def _focus_facts(
     sharp_at: float | None,
     side: Side,
     thin_lens: LensOptions,
-    psf: PSFFamily,
 ) -> dict[str, Any]:
     """Return the blur of what shall be sharp, and how it was found."""
     if sharp_at is None:
         return {"focus_px": RefocusSettings.focus if focus is None else focus}
     lens = lens_of(image, thin_lens)
     check_side(side, lens)
-    blur = float(napari_defocus.blur_from_depth(sharp_at, lens, psf=psf))
+    blur = float(napari_defocus.blur_from_depth(sharp_at, lens))
     if not math.isfinite(blur):
         raise ValueError(f"sharp_at is {sharp_at}; nothing so near can be made sharp")
     beyond = sharp_at > lens.focus_distance_m

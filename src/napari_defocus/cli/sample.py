@@ -14,7 +14,7 @@ from napari_defocus.cli.results import Files, check_endings, encoded_maps, encod
 from napari_defocus.core.checks import Linearize, check_threshold
 from napari_defocus.core.progress import Progress, within
 from napari_defocus.pipeline import label_map, measure_candidates, segment, shares
-from napari_defocus.settings import MapSettings, MaskSettings, usual_threshold
+from napari_defocus.settings import MapSettings, MaskSettings
 
 SampleName = Literal["dandelion", "brushes"]
 
@@ -86,14 +86,12 @@ def demonstrate(
     files = Files(force=True)
     with _folder_for_results(folder):
         settings = MapSettings(psf=psf, shot_noise=shot_noise, linearize=linearize)
-        family = settings.family()
-        threshold = usual_threshold(family)
-        check_threshold(threshold, family.max_scale)
+        mask_settings = MaskSettings()
+        check_threshold(mask_settings.threshold, settings.family().max_scale)
         picture = files.read(sample_path("dandelion"), outputs)
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, None, first)
         found = label_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
-        mask_settings = MaskSettings(threshold=threshold)
         mask = segment(candidates, picture, mask_settings, progress=within(second, 0.5, 1.0))
         contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
         files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))

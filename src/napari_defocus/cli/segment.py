@@ -15,7 +15,7 @@ from napari_defocus.cli.results import Files, beside, check_endings, encoded_mas
 from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.progress import Progress, within
 from napari_defocus.pipeline import label_map, measure_candidates, shares
-from napari_defocus.settings import MaskSettings, usual_threshold
+from napari_defocus.settings import MaskSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,7 +56,7 @@ def _lines(facts: Facts) -> Iterator[str]:
 def segment_picture(
     image: Path,
     *,
-    threshold: float | None = None,
+    threshold: float = MaskSettings.threshold,
     measuring: EvidenceOptions,
     smoothness: float = MaskSettings.smoothness,
     color_sigma: float = MaskSettings.color_sigma,
@@ -73,13 +73,10 @@ def segment_picture(
     masks, overlays, tables = ([path] if path else [] for path in (output, overlay, regions))
     outputs = [*masks, *overlays, *tables]
     settings, intensity_range = measuring.settings(), measuring.intensity_range
-    family = settings.family()
     mask_settings = MaskSettings(
-        threshold=usual_threshold(family) if threshold is None else threshold,
-        smoothness=smoothness,
-        color_sigma=color_sigma,
+        threshold=threshold, smoothness=smoothness, color_sigma=color_sigma
     )
-    check_threshold(mask_settings.threshold, family.max_scale)
+    check_threshold(threshold, settings.family().max_scale)
     check_endings([*masks, *overlays], ".png")
     check_endings(tables, ".csv")
     picture = files.read(image, outputs, seeds)

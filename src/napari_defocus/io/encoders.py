@@ -14,10 +14,16 @@ from PIL import Image
 
 from napari_defocus.core.image import prepare_image, shown_colors
 from napari_defocus.io.provenance import ALL_IN_FOCUS, mark_in_tiff, marked_png, signature
-from napari_defocus.psf.families import Disc
+from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import MapSettings
 
 _BLUR_QUANTITY = "defocus blur"
+_EARLIER_UNITS = {
+    "standard deviation (px)": "twice that",
+    "outer radius (px)": "sqrt(1 + obstruction^2) times that",
+    "equal-area radius (px)": "up to 1.1 times that",
+}
+"""What maps of some lenses held once, and what they hold now."""
 _CONFIDENCE_QUANTITY = "confidence of the blur map"
 
 COLOR_MAP = "viridis"
@@ -40,7 +46,7 @@ OUTLINE_COLOR = (1.0, 0.85, 0.0)
 def blur_map_tiff(
     blur_map: ArrayLike,
     settings: Mapping[str, Any],
-    scale_name: str = Disc.scale_name,
+    scale_name: str = BLUR_RADIUS,
     *,
     made: Mapping[str, Any] | None = None,
     pixel_size: tuple[float, float] | None = None,
@@ -60,10 +66,11 @@ def said_of_map(scale_name: str) -> dict[str, str]:
 
     Examples
     --------
-    >>> said_of_map("radius (px)")["quantity"]
+    >>> said_of_map("blur radius (px)")["quantity"]
     'defocus blur radius'
     """
-    quantity = f"{_BLUR_QUANTITY} {scale_name.removesuffix(' (px)')}"
+    what = scale_name.removesuffix(" (px)").removeprefix("blur ")
+    quantity = f"{_BLUR_QUANTITY} {what}"
     return {"quantity": quantity, "unit": "px", "scale": scale_name}
 
 
@@ -192,6 +199,22 @@ def holds(description: Mapping[str, Any]) -> str | None:
     return "confidence" if quantity == _CONFIDENCE_QUANTITY else None
 
 
+def check_unit(description: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
+    """Refuse a map from before all lenses had one unit: its px would be read wrongly.
+
+    Raises
+    ------
+    ValueError
+        If the description says so.
+    """
+    scale = description.get("scale")
+    if scale in _EARLIER_UNITS:
+        raise ValueError(
+            f"{path} holds the {scale} of its lens, as early versions wrote it; it takes the "
+            f"{BLUR_RADIUS}, {_EARLIER_UNITS[scale]}. Measure the picture again"
+        )
+
+
 def values_in_tiff(path: str | os.PathLike[str]) -> NDArray[Any]:
     """Return the values of a TIFF of `blur_map_tiff` or `confidence_tiff`, (..., H, W) float32.
 
@@ -220,7 +243,7 @@ def values_in_tiff(path: str | os.PathLike[str]) -> NDArray[Any]:
 def blur_map_png(
     blur_map: ArrayLike,
     max_scale: float = MapSettings.max_radius,
-    scale_name: str = Disc.scale_name,
+    scale_name: str = BLUR_RADIUS,
     min_confidence: float = 0.0,
 ) -> bytes:
     """Draw a blur map, (H, W) in px, in colour, with a colour bar, as a PNG file.
@@ -230,7 +253,9 @@ def blur_map_png(
     it is very small or very large.
     """
     note = f"grey: confidence below {min_confidence:g}" if min_confidence > 0 else ""
-    return _drawing(blur_map, COLOR_MAP, (0.0, max_scale), f"blur {scale_name}", note)
+    return _drawing(
+        blur_map, COLOR_MAP, (0.0, max_scale), f"blur {scale_name.removeprefix('blur ')}", note
+    )
 
 
 def depth_png(depth: ArrayLike, min_confidence: float = 0.0) -> bytes:

@@ -13,10 +13,14 @@ from typing import Any, Self, get_args, get_type_hints
 import napari_defocus
 from napari_defocus.core.checks import check_stride
 from napari_defocus.core.writing import write_results
+from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 VERSION_KEY = "napari_defocus"
 """Under which a file says what version wrote it."""
+
+UNIT_KEY = "unit"
+"""Under which a file that we wrote says what its px are: once, some lenses had others."""
 
 _NAME_OF_TYPE = {
     bool: "true or false",
@@ -106,7 +110,7 @@ _PARTS: dict[str, type[Any]] = get_type_hints(Settings)
 
 def encoded_settings(parts: Mapping[str, Mapping[str, Any]]) -> bytes:
     """Return what a settings file with these parts, or some of their keys, holds."""
-    content = {VERSION_KEY: napari_defocus.__version__, **parts}
+    content = {VERSION_KEY: napari_defocus.__version__, UNIT_KEY: BLUR_RADIUS, **parts}
     try:
         text = json.dumps(content, indent=2, ensure_ascii=False)
     except TypeError:
@@ -135,8 +139,11 @@ def said_in(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
         content = _json_object("it", json.loads(_text(Path(path)), parse_constant=_refuse_constant))
         written_by = content.pop(VERSION_KEY, "")
         _check_type(f'"{VERSION_KEY}"', written_by, str)
+        unit = content.pop(UNIT_KEY, "" if written_by else BLUR_RADIUS)
         _check_names("part", content, _PARTS)
-        return {part: _checked_part(part, values) for part, values in content.items()}
+        said = {part: _checked_part(part, values) for part, values in content.items()}
+        _check_unit(unit, said.get("map", {}).get("psf", MapSettings.psf))
+        return said
     except FileNotFoundError:
         raise FileNotFoundError(f"cannot read {path}: there is no such file") from None
     except json.JSONDecodeError as error:
@@ -147,6 +154,16 @@ def said_in(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
         raise ValueError(f"cannot read {path}: it is nested too deeply for settings") from None
     except ValueError as error:
         raise ValueError(f"cannot read {path}: {error}") from None
+
+
+def _check_unit(unit: str, psf: str) -> None:
+    """Refuse px of lenses that had another unit once; those of discs and measured ones stay."""
+    if unit != BLUR_RADIUS and psf.lower() != "disc" and not psf.lower().endswith(".npz"):
+        raise ValueError(
+            f'its px are in an early unit of the lens "{psf}"; make its largest radius and '
+            f"threshold blur radii (twice the standard deviation) and add "
+            f'"{UNIT_KEY}": "{BLUR_RADIUS}"'
+        )
 
 
 def _text(path: Path) -> str:

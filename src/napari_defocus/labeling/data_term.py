@@ -26,7 +26,6 @@ from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.psf.families import radius_per_scale
 
 Float32 = NDArray[np.float32]
 
@@ -183,8 +182,7 @@ def log_prior(candidates: BlurCandidates) -> Float32:
     a wide blur nearly as well as their own: half of their windows have the maximum at the largest
     radius, the true one a few units below. Texture decides by more than the prior says.
     """
-    rate = _PRIOR_RATE * radius_per_scale(candidates.psf)
-    return (-rate * candidates.scales).astype(np.float32)
+    return (-_PRIOR_RATE * candidates.scales).astype(np.float32)
 
 
 def _limited(curve: Float32, weight: Float32, depth: np.float32) -> Float32:

@@ -265,7 +265,7 @@ def draw_explanation(
     >>> axes = Figure().subplots()
     >>> draw_explanation(explain_pixel(estimate_candidates(gravel()[:60, :60]), 30, 30), axes)
     >>> axes.get_xlabel()
-    'radius (px)'
+    'blur radius (px)'
     """
     check_flag("legend", legend)
     if not isinstance(explanation, PixelExplanation):

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.checks import Side, check_number
 from napari_defocus.core.image import given_array, given_reals
 from napari_defocus.optics.exif import noted_lens
-from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -184,7 +183,6 @@ def depth_from_blur(
     lens: ThinLens,
     *,
     side: Side | ArrayLike = "far",
-    psf: PSFFamily = Disc(),
 ) -> Float32:
     r"""Turn blur into distance, for a thin lens.
 
@@ -201,13 +199,10 @@ def depth_from_blur(
     Parameters
     ----------
     blur_map : array_like of any shape
-        The family's scale, in px, from 0 up; such as from `estimate_blur_map`. NaN is unknown.
+        The blur radius, in px, from 0 up; such as from `estimate_blur_map`. NaN is unknown.
     lens : ThinLens
     side : {"far", "near"} or bool array_like of the same shape, optional
         Whether points lie beyond the focus; for each pixel, True where they do.
-    psf : PSFFamily or callable, optional
-        The family of the map. A scale that is a standard deviation is half of the radius; any
-        other scale is taken as the radius.
 
     Returns
     -------
@@ -219,7 +214,7 @@ def depth_from_blur(
     ------
     TypeError
         If `blur_map` holds no real numbers, `side` is an array of another dtype than bool,
-        `lens` is no `ThinLens` or `psf` no family.
+        or `lens` is no `ThinLens`.
     ValueError
         If the map has negative or infinite values, `side` is another word or has another shape,
         or points are to lie beyond a focus at infinity.
@@ -233,27 +228,26 @@ def depth_from_blur(
     array([2.   , 1.883, 1.778, 0.89 ], dtype=float32)
     """
     _check_lens(lens)
-    scale = given_reals("blur_map", blur_map)
-    if (scale < 0).any() or np.isinf(scale).any():
+    radius = given_reals("blur_map", blur_map)
+    if (radius < 0).any() or np.isinf(radius).any():
         raise ValueError(
-            f"blur_map has values from {np.nanmin(scale):g} to {np.nanmax(scale):g}; "
+            f"blur_map has values from {np.nanmin(radius):g} to {np.nanmax(radius):g}; "
             "it takes finite ones from 0 px up, NaN unknown"
         )
-    beyond = checked_side(side, scale.shape)
+    beyond = checked_side(side, radius.shape)
     if math.isinf(lens.focus_distance_m) and beyond.any():
         raise ValueError(
             "side says that points lie beyond the focus, but it is at infinity; it takes 'near'"
         )
-    radius = radius_per_scale(as_family(psf)) * scale
     in_focus = 1 / lens.focus_distance_m
     dioptres = in_focus + np.where(beyond, -1, 1) * radius / lens._radius_per_dioptre
     # K as float32 may be rounded down; a point infinitely far away stays there.
     infinite = dioptres <= _ROUNDING * in_focus
-    depth = np.divide(1, dioptres, out=np.full(scale.shape, np.inf), where=~infinite)
+    depth = np.divide(1, dioptres, out=np.full(radius.shape, np.inf), where=~infinite)
     return _as_float32(depth)
 
 
-def blur_from_depth(depth: ArrayLike, lens: ThinLens, *, psf: PSFFamily = Disc()) -> Float32:
+def blur_from_depth(depth: ArrayLike, lens: ThinLens) -> Float32:
     r"""Turn distance into blur, for a thin lens, see `ThinLens`.
 
     .. math:: r = K \frac{|d - s|}{d}
@@ -263,38 +257,33 @@ def blur_from_depth(depth: ArrayLike, lens: ThinLens, *, psf: PSFFamily = Disc()
     depth : array_like of any shape
         Distance d from the lens, in m, above 0; infinity is allowed. NaN is unknown.
     lens : ThinLens
-    psf : PSFFamily or callable, optional
-        The family whose scale is wanted, see `depth_from_blur`.
 
     Returns
     -------
     float32 ndarray
-        The family's scale in px, of the shape of `depth`; not limited to the scales that the
-        family is looked for. NaN where `depth` has NaN.
+        The blur radius in px, of the shape of `depth`; not limited to what is looked for. NaN
+        where `depth` has NaN.
 
     Raises
     ------
     TypeError
-        If `depth` holds no real numbers, `lens` is no `ThinLens` or `psf` no family.
+        If `depth` holds no real numbers, or `lens` is no `ThinLens`.
     ValueError
         If a distance is 0 or negative.
 
     Examples
     --------
     >>> import math
-    >>> from napari_defocus import Gaussian
     >>> lens = ThinLens(focal_length_mm=50, f_number=2, focus_distance_m=2, pixel_pitch_um=5)
     >>> blur_from_depth([1.9, 2.0, 2.1], lens).round(2)
     array([3.37, 0.  , 3.05], dtype=float32)
-    >>> blur_from_depth([1.9, 2.0, 2.1], lens, psf=Gaussian()).round(2)
-    array([1.69, 0.  , 1.53], dtype=float32)
     """
     _check_lens(lens)
     distance = checked_depth(depth)
     with np.errstate(over="ignore"):
         dioptres = np.abs(1 / distance - 1 / lens.focus_distance_m)
         radius = lens._radius_per_dioptre * dioptres
-    return _as_float32(radius / radius_per_scale(as_family(psf)))
+    return _as_float32(radius)
 
 
 def _check_lens(lens: object) -> None:

@@ -61,8 +61,9 @@ def calibrate_psf(
     pictures : sequence of (H, W) or (H, W, 3) or (H, W, 4) array_like
         One picture for each setting, in any order; at least two settings. The luminance counts.
     scales : sequence of float, optional
-        Scale of each picture, in px, for instance from a linear focus scale. By default it is
-        measured: the radius of the disc with the same second moment.
+        Scale of each picture, in px, for instance from a linear focus scale; the scale of the
+        family is then what you say. By default it is measured: the blur radius, that of the disc
+        with the same second moment, which is the scale of all other families.
     sharp : picture or sequence of pictures, optional
         The same scene in focus, taken with the same magnification: one for all pictures, or a
         list of one for each. Without it, the pictures show point sources.

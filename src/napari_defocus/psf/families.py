@@ -1,5 +1,10 @@
 """PSF families: point spread functions indexed by one scale, in px of the input picture.
 
+The scale of every family here, but for functions of your own, is the *blur radius*: that of the
+disc with the same second moment along an axis. A disc of radius r has the standard deviation r / 2
+along an axis, so that the blur radius of any kernel is twice its standard deviation. Maps,
+thresholds and tables mean the same with each of them.
+
 Kernels hold what falls on each pixel, not samples at the pixels' centres: the shape's exact
 area, or the exact integral of its profile. All are continuous in the scale and become a point
 where the shape fits into one pixel: no picture can tell it from a point there, so all such
@@ -13,14 +18,14 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf, gammaincinv, gammaln
 
 from napari_defocus.core.checks import check_number
-from napari_defocus.psf import MAX_RADIUS
+from napari_defocus.psf import BLUR_RADIUS, MAX_RADIUS
 from napari_defocus.psf.checks import check_largest, checked_kernels, checked_scale
 from napari_defocus.psf.pixel_areas import (
     corners_to,
@@ -31,6 +36,8 @@ from napari_defocus.psf.pixel_areas import (
 )
 
 Float64 = NDArray[np.floating]
+
+_Radius = TypeVar("_Radius", float, NDArray[np.floating])
 
 _GAUSSIAN_CUT = 4.0
 """Standard deviations: beyond them, on an axis, lies 6e-5 of the light."""
@@ -55,7 +62,7 @@ class PSFFamily(Hashable, Protocol):
 
     @property
     def scale_name(self) -> str:
-        """What the scale measures, with its unit, such as "radius (px)"."""
+        """What the scale measures, with its unit, such as "blur radius (px)"."""
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the kernel of one scale: (K, K), K odd, non-negative, sum 1."""
@@ -63,7 +70,7 @@ class PSFFamily(Hashable, Protocol):
 
 @dataclass(frozen=True)
 class Disc:
-    r"""Uniform disc, the PSF of an ideal lens with a round aperture; its scale is the radius.
+    r"""Uniform disc, the PSF of an ideal lens with a round aperture; its scale is its radius.
 
     .. math:: h(\mathbf{x}; r) = \frac{1}{\pi r^2} \text{ where } \|\mathbf{x}\| \le r,
         \text{ else } 0
@@ -90,7 +97,7 @@ class Disc:
     """
 
     max_radius: float = MAX_RADIUS
-    scale_name: ClassVar[str] = "radius (px)"
+    scale_name: ClassVar[str] = BLUR_RADIUS
 
     def __post_init__(self) -> None:
         check_largest("max_radius", self.max_radius)
@@ -108,21 +115,23 @@ class Disc:
 
 @dataclass(frozen=True)
 class Annulus:
-    r"""Uniform ring, the PSF of a mirror lens; its scale is the outer radius.
+    r"""Uniform ring, the PSF of a mirror lens; its scale is the blur radius.
 
-    With the obstruction :math:`\epsilon`,
+    With the obstruction :math:`\epsilon` and the outer radius R,
 
-    .. math:: h(\mathbf{x}; r) = \frac{1}{\pi r^2 (1 - \epsilon^2)}
-        \text{ where } \epsilon r \le \|\mathbf{x}\| \le r, \text{ else } 0
+    .. math:: h(\mathbf{x}; r) = \frac{1}{\pi R^2 (1 - \epsilon^2)}
+        \text{ where } \epsilon R \le \|\mathbf{x}\| \le R, \text{ else } 0
 
-    A pixel has the integral over its area.
+    The ring has the variance :math:`R^2 (1 + \epsilon^2) / 4` along an axis, a disc of radius r
+    has :math:`r^2 / 4`: :math:`r = R \sqrt{1 + \epsilon^2}`. A pixel has the integral over its
+    area.
 
     Parameters
     ----------
     obstruction : float
         The inner radius over the outer one, from 0 (a disc) to below 1.
     max_radius : float
-        Largest outer radius that is looked for, in px.
+        Largest blur radius that is looked for, in px.
 
     Raises
     ------
@@ -131,13 +140,15 @@ class Annulus:
 
     Examples
     --------
-    >>> Annulus(0.5).kernel(2.0).round(2)[2]
+    >>> round(Annulus(0.5).outer_radius(5**0.5), 3)
+    2.0
+    >>> Annulus(0.5).kernel(5**0.5).round(2)[2]
     array([0.05, 0.06, 0.  , 0.06, 0.05])
     """
 
     obstruction: float = 0.5
     max_radius: float = MAX_RADIUS
-    scale_name: ClassVar[str] = "outer radius (px)"
+    scale_name: ClassVar[str] = BLUR_RADIUS
 
     def __post_init__(self) -> None:
         check_number(
@@ -147,13 +158,16 @@ class Annulus:
 
     @property
     def max_scale(self) -> float:
-        """The largest outer radius, in px."""
+        """The largest blur radius, in px."""
         return self.max_radius
 
+    def outer_radius(self, radius: _Radius) -> _Radius:
+        """Return the outer radius of rings of a blur radius, in px; of a float or an array."""
+        return radius / math.sqrt(1 + self.obstruction**2)
+
     def kernel(self, scale: float) -> NDArray[np.float64]:
-        """Return the area-coverage ring of outer radius `scale` (px), normalised to sum 1."""
-        scale = checked_scale(scale)
-        outer = max(scale, 0.5)
+        """Return the area-coverage ring of blur radius `scale` (px), normalised to sum 1."""
+        outer = max(self.outer_radius(checked_scale(scale)), 0.5)
         area = disc_area(corners_to(outer), outer)
         inner = self.obstruction * outer
         if inner > 0:
@@ -165,13 +179,14 @@ class Annulus:
 class Polygon:
     r"""Regular polygon, the PSF of a leaf shutter (Section III-A).
 
-    Its scale r is the radius of the disc of the same area, so that px mean the same as with
-    `Disc`; the n corners lie at
+    Its scale r is the blur radius. With n corners at the distance R from the centre, its variance
+    along an axis is :math:`R^2 (2 + \cos(2 \pi / n)) / 12`, and that of a disc :math:`r^2 / 4`:
 
-    .. math:: R = r \sqrt{\frac{2 \pi / n}{\sin(2 \pi / n)}},
+    .. math:: R = r \sqrt{\frac{3}{2 + \cos(2 \pi / n)}},
 
-    1.10 times as far out for 6 blades. Inside, the PSF is :math:`1 / (\pi r^2)`; a pixel has the
-    integral over its area. With an odd number of blades, the PSF in front of the focal plane is
+    1.10 times as far out for 6 blades, where the disc of the same area has 0.996 times the blur
+    radius (`equal_area_radius`). Inside, the PSF is the same everywhere; a pixel has the integral
+    over its area. With an odd number of blades, the PSF in front of the focal plane is
     the one behind it turned by 180 degrees; their spectra are the same.
 
     Parameters
@@ -182,7 +197,7 @@ class Polygon:
         Direction of one corner from the centre, in degrees: 0 points right along the columns,
         positive turns counter-clockwise as the picture is shown, with row 0 on top.
     max_radius : float
-        Largest scale that is looked for, in px.
+        Largest blur radius that is looked for, in px.
 
     Raises
     ------
@@ -193,17 +208,17 @@ class Polygon:
     Examples
     --------
     >>> Polygon(3, rotation=90).kernel(1.5).round(2)
-    array([[0.  , 0.  , 0.06, 0.  , 0.  ],
-           [0.  , 0.04, 0.14, 0.04, 0.  ],
-           [0.  , 0.12, 0.14, 0.12, 0.  ],
-           [0.03, 0.09, 0.09, 0.09, 0.03],
+    array([[0.  , 0.  , 0.04, 0.  , 0.  ],
+           [0.  , 0.03, 0.17, 0.03, 0.  ],
+           [0.  , 0.12, 0.17, 0.12, 0.  ],
+           [0.02, 0.1 , 0.1 , 0.1 , 0.02],
            [0.  , 0.  , 0.  , 0.  , 0.  ]])
     """
 
     blades: int = 6
     rotation: float = 0.0
     max_radius: float = MAX_RADIUS
-    scale_name: ClassVar[str] = "equal-area radius (px)"
+    scale_name: ClassVar[str] = BLUR_RADIUS
 
     def __post_init__(self) -> None:
         check_number("blades", self.blades, lambda n: n >= 3, "a whole number from 3 up", Integral)
@@ -212,14 +227,24 @@ class Polygon:
 
     @property
     def max_scale(self) -> float:
-        """The largest scale, in px."""
+        """The largest blur radius, in px."""
         return self.max_radius
 
+    def equal_area_radius(self, radius: _Radius) -> _Radius:
+        """Return the radius of the disc as large as polygons of a blur radius, in px.
+
+        Of a float or an array.
+        """
+        turn = 2 * math.pi / self.blades
+        return self._corner_radius(radius) * math.sqrt(math.sin(turn) / turn)
+
+    def _corner_radius(self, radius: _Radius) -> _Radius:
+        return radius * math.sqrt(3 / (2 + math.cos(2 * math.pi / self.blades)))
+
     def kernel(self, scale: float) -> NDArray[np.float64]:
-        """Return the area-coverage polygon as large as a disc of radius `scale` (px), sum 1."""
-        scale = checked_scale(scale)
+        """Return the area-coverage polygon of blur radius `scale` (px), normalised to sum 1."""
         turn = 2 * np.pi / self.blades
-        radius = scale * np.sqrt(turn / np.sin(turn))
+        radius = self._corner_radius(checked_scale(scale))
         if radius <= 0.5:
             return np.ones((1, 1))
         angle = np.deg2rad(float(self.rotation) % 360) + turn * np.arange(self.blades)
@@ -231,63 +256,73 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Gaussian:
-    r"""Gaussian, for optics that diffraction and aberrations round off; its scale is sigma.
+    r"""Gaussian, for optics that diffraction and aberrations round off; its scale is 2 sigma.
 
-    .. math:: h(\mathbf{x}; \sigma) = \frac{1}{2 \pi \sigma^2}
-        \exp\left(-\frac{\|\mathbf{x}\|^2}{2 \sigma^2}\right)
+    .. math:: h(\mathbf{x}; r) = \frac{1}{2 \pi \sigma^2}
+        \exp\left(-\frac{\|\mathbf{x}\|^2}{2 \sigma^2}\right), \qquad \sigma = r / 2
 
-    A pixel has the integral over its area. Cut off at 4 sigma.
+    The disc with the same standard deviation has the radius r, the blur radius. A pixel has the
+    integral over its area. Cut off at 4 sigma.
 
     Parameters
     ----------
-    max_sigma : float
-        Largest standard deviation that is looked for, in px.
+    max_radius : float
+        Largest blur radius that is looked for, in px.
 
     Raises
     ------
     TypeError, ValueError
-        If `max_sigma` is no number, is not finite or below 1 px.
+        If `max_radius` is no number, is not finite or below 1 px.
 
     Examples
     --------
-    >>> Gaussian().kernel(0.3).round(3)
+    >>> Gaussian().sigma(0.6)
+    0.3
+    >>> Gaussian().kernel(0.6).round(3)
     array([[0.002, 0.043, 0.002],
            [0.043, 0.818, 0.043],
            [0.002, 0.043, 0.002]])
     """
 
-    max_sigma: float = MAX_RADIUS / 2
-    scale_name: ClassVar[str] = "standard deviation (px)"
+    max_radius: float = MAX_RADIUS
+    scale_name: ClassVar[str] = BLUR_RADIUS
 
     def __post_init__(self) -> None:
-        check_largest("max_sigma", self.max_sigma)
+        check_largest("max_radius", self.max_radius)
 
     @property
     def max_scale(self) -> float:
-        """The largest standard deviation, in px."""
-        return self.max_sigma
+        """The largest blur radius, in px."""
+        return self.max_radius
+
+    def sigma(self, radius: _Radius) -> _Radius:
+        """Return the standard deviation, along an axis, of a blur radius; in px.
+
+        Of a float or an array.
+        """
+        return radius / 2
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
-        """Return the Gaussian of sigma `scale` (px), integrated over pixels, sum 1."""
-        scale = checked_scale(scale)
-        reach = _GAUSSIAN_CUT * scale
+        """Return the Gaussian of blur radius `scale` (px), integrated over pixels, sum 1."""
+        sigma = self.sigma(checked_scale(scale))
+        reach = _GAUSSIAN_CUT * sigma
         half = np.minimum(corners_to(reach), reach) if reach > 0.5 else np.ones(1)
-        below = erf(np.concatenate([-half[::-1], half]) / (np.sqrt(2) * max(scale, 0.1)))
+        below = erf(np.concatenate([-half[::-1], half]) / (np.sqrt(2) * max(sigma, 0.1)))
         profile = np.diff(below) / (below[-1] - below[0])
         return np.multiply.outer(profile, profile)
 
 
 @dataclass(frozen=True)
 class GeneralizedGaussian:
-    r"""A profile from round to steep; its scale sigma is the standard deviation along an axis.
+    r"""A profile from round to steep; its scale is twice its standard deviation along an axis.
 
-    With the exponent p,
+    With the exponent p and the blur radius r,
 
-    .. math:: h(\mathbf{x}; \sigma) \propto \exp\left(-(\|\mathbf{x}\| / \alpha)^p\right),
-        \qquad \alpha = 2 \sigma \sqrt{\frac{\Gamma(1 + 2/p)}{\Gamma(1 + 4/p)}}
+    .. math:: h(\mathbf{x}; r) \propto \exp\left(-(\|\mathbf{x}\| / \alpha)^p\right),
+        \qquad \alpha = r \sqrt{\frac{\Gamma(1 + 2/p)}{\Gamma(1 + 4/p)}}
 
-    2 is the Gaussian; the larger p is, the steeper the edge; infinity is a disc of radius
-    2 sigma. A profile that falls everywhere is a mixture of discs: here
+    2 is the Gaussian; the larger p is, the steeper the edge; infinity is a disc of radius r. A
+    profile that falls everywhere is a mixture of discs: here
     :math:`t = (R / \alpha)^p` of their radii R has a gamma distribution of shape 1 + 2/p, of
     which the last 1e-4 is left out.
 
@@ -295,37 +330,44 @@ class GeneralizedGaussian:
     ----------
     exponent : float
         From 1 up to infinity.
-    max_sigma : float
-        Largest standard deviation that is looked for, in px.
+    max_radius : float
+        Largest blur radius that is looked for, in px.
 
     Raises
     ------
     TypeError, ValueError
-        If `exponent` is no number from 1 up or `max_sigma` not finite or below 1 px.
+        If `exponent` is no number from 1 up or `max_radius` not finite or below 1 px.
 
     Examples
     --------
-    >>> GeneralizedGaussian(8.0).kernel(0.4).round(3)
+    >>> GeneralizedGaussian(8.0).kernel(0.8).round(3)
     array([[0.006, 0.112, 0.006],
            [0.112, 0.527, 0.112],
            [0.006, 0.112, 0.006]])
     """
 
     exponent: float = 2.0
-    max_sigma: float = MAX_RADIUS / 2
-    scale_name: ClassVar[str] = "standard deviation (px)"
+    max_radius: float = MAX_RADIUS
+    scale_name: ClassVar[str] = BLUR_RADIUS
 
     def __post_init__(self) -> None:
         check_number("exponent", self.exponent, lambda e: e >= 1, "a number from 1 up")
-        check_largest("max_sigma", self.max_sigma)
+        check_largest("max_radius", self.max_radius)
 
     @property
     def max_scale(self) -> float:
-        """The largest standard deviation, in px."""
-        return self.max_sigma
+        """The largest blur radius, in px."""
+        return self.max_radius
+
+    def sigma(self, radius: _Radius) -> _Radius:
+        """Return the standard deviation, along an axis, of a blur radius; in px.
+
+        Of a float or an array.
+        """
+        return radius / 2
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
-        """Return the profile of sigma `scale` (px), integrated over pixels, sum 1."""
+        """Return the profile of blur radius `scale` (px), integrated over pixels, sum 1."""
         scale = checked_scale(scale)
         radii, weights = self._discs
         radii = radii * scale
@@ -336,21 +378,23 @@ class GeneralizedGaussian:
 
     @cached_property
     def _discs(self) -> tuple[Float64, Float64]:
-        """Radii, increasing, and weights of the discs whose sum the profile of sigma 1 is."""
+        """Radii, increasing, and weights of the discs whose sum the profile of 1 px is."""
         shape = 1 + 2 / self.exponent
         log_square = gammaln(shape) - gammaln(1 + 4 / self.exponent)
         low, high = gammaincinv(shape, [_TAIL**2, 1 - _TAIL])
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         t = low + (high - low) * (nodes + 1) / 2
         weights = weights * np.exp((shape - 1) * np.log(t) - t)
-        return 2 * np.exp(log_square / 2) * t ** (1 / self.exponent), weights / weights.sum()
+        return np.exp(log_square / 2) * t ** (1 / self.exponent), weights / weights.sum()
 
 
 @dataclass(frozen=True)
 class KernelFunction:
-    """A family from a function of your own.
+    """A family from a function of your own, whose scale is what the function takes.
 
-    Scale 0 is a point; the function is asked for scales above 0 only.
+    Maps and thresholds are in that scale; return twice the kernel's standard deviation along an
+    axis for what all other families have. Scale 0 is a point; the function is asked for scales
+    above 0 only.
 
     Parameters
     ----------
@@ -416,8 +460,3 @@ def as_family(psf: PSFFamily | Callable[[float], ArrayLike]) -> PSFFamily:
         if callable(psf):
             return KernelFunction(psf)
     raise TypeError(f"psf is {psf!r}; it takes a PSF family such as Disc()")
-
-
-def radius_per_scale(family: PSFFamily) -> int:
-    """Return how many px of blur radius a px of a family's scale is: 2 for standard deviations."""
-    return 2 if family.scale_name.startswith("standard deviation") else 1

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import convolve
 
 import napari_defocus
+from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.psf.checks import check_largest, checked_kernels, checked_scale, real_array
 from napari_defocus.psf.pixel_areas import corners_to
 
@@ -107,7 +108,6 @@ class MeasuredPSF:
     kernels: NDArray[np.float64]
     max_scale: float
     provenance: Mapping[str, Any]
-    scale_name: ClassVar[str] = "scale (px)"
 
     def __init__(
         self,
@@ -132,6 +132,11 @@ class MeasuredPSF:
         object.__setattr__(self, "kernels", stack)
         object.__setattr__(self, "max_scale", largest)
         object.__setattr__(self, "provenance", _checked_provenance(provenance))
+
+    @property
+    def scale_name(self) -> str:
+        """What the scale measures: the blur radius if `calibrate_psf` found it, or what you say."""
+        return BLUR_RADIUS if self.provenance.get("scales_were") == "measured" else "scale (px)"
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the kernel at `scale` (px), between those that were measured; sum 1."""

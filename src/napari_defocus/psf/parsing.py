@@ -13,7 +13,6 @@ from napari_defocus.psf.families import (
     GeneralizedGaussian,
     Polygon,
     PSFFamily,
-    radius_per_scale,
 )
 from napari_defocus.psf.measured import MeasuredPSF
 
@@ -106,16 +105,14 @@ def psf_text(psf: PSFFamily) -> str:
 def psf_of(text: str, max_radius: float) -> PSFFamily:
     """Make a PSF family for blurs up to a radius.
 
-    A disc of radius r has a standard deviation of r / 2 along an axis: families whose scale is
-    a standard deviation are looked for up to half of `max_radius`. Measured ones are looked for
-    up to their own largest scale if that is smaller.
+    Measured ones are looked for up to their own largest scale if that is smaller.
 
     Parameters
     ----------
     text : str
         What `napari_defocus.psf_from_text` reads.
     max_radius : float
-        Largest radius that is looked for, in px.
+        Largest blur radius that is looked for, in px.
 
     Returns
     -------
@@ -129,11 +126,8 @@ def psf_of(text: str, max_radius: float) -> PSFFamily:
     Examples
     --------
     >>> psf_of("gaussian", 6.0)
-    Gaussian(max_sigma=3.0)
+    Gaussian(max_radius=6.0)
     """
     family = psf_from_text(text)
-    if isinstance(family, MeasuredPSF):
-        largest = min(max_radius, family.max_scale)
-    else:
-        largest = max_radius / radius_per_scale(family)
-    return psf_from_text(text, largest)
+    measured = isinstance(family, MeasuredPSF)
+    return psf_from_text(text, min(max_radius, family.max_scale) if measured else max_radius)

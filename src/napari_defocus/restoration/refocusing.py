@@ -27,7 +27,7 @@ from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.forward.blur_operator import checked_scales
 from napari_defocus.forward.occlusion import Layers, spread_layers
 from napari_defocus.optics.thin_lens import checked_side
-from napari_defocus.psf.families import Disc, PSFFamily, as_family, radius_per_scale
+from napari_defocus.psf.families import Disc, PSFFamily, as_family
 from napari_defocus.psf.measured import MeasuredPSF
 from napari_defocus.restoration.all_in_focus import Restoration, in_shape_of
 from napari_defocus.settings import RefocusSettings, RestorationSettings
@@ -87,7 +87,7 @@ def change_focus(
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         Any real dtype, see `estimate_candidates`. A fourth channel is opacity.
     blur_map : (H, W) array_like
-        The family's scale at every pixel, in px, within its domain; such as from
+        The blur radius at every pixel, in px, within the family's domain; such as from
         `estimate_blur_map`.
     focus : float, optional
         The scale, in px, of what shall be sharp: on the chosen side of the old focus, or on the
@@ -230,16 +230,15 @@ def _reaching(
 ) -> PSFFamily:
     """Return the family, for scales up to the largest new one."""
     found = f"focus is {focus:g} and aperture is {aperture:g}, for blur of up to {largest:g} px"
-    if radius_per_scale(psf) * largest > longest:
+    if largest > longest:
         raise ValueError(f"{found}; it takes radii up to the picture's longer side, {longest} px")
     if largest <= psf.max_scale:
         return psf
     if isinstance(psf, MeasuredPSF):
         return MeasuredPSF(psf.scales, psf.kernels, max_scale=largest, provenance=psf.provenance)
     family = cast(Any, psf)
-    for name in ("max_radius", "max_sigma"):
-        if name in getattr(family, "__dataclass_fields__", ()):
-            return cast(PSFFamily, replace(family, **{name: largest}))
+    if "max_radius" in getattr(family, "__dataclass_fields__", ()):
+        return cast(PSFFamily, replace(family, max_radius=largest))
     raise ValueError(f"{found}; {psf!r} takes 0 to {psf.max_scale:g} px: give one that takes more")
 
 

@@ -123,7 +123,7 @@ def test_confidence_of_another_map_is_not_told(viewer, leaf):
     add_results(viewer, results_on(leaf, viewer))
     another, *_ = results_on(leaf, viewer, radius=2.0, psf="gaussian")
     add_results(viewer, [another])
-    assert text_under_cursor(viewer) == "standard deviation 2.0 px, in focus"
+    assert text_under_cursor(viewer) == "2.0 px, in focus"
 
 
 def test_of_a_stack_only_the_plane_with_results_has_numbers(viewer):

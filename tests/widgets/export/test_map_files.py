@@ -140,7 +140,7 @@ def test_other_programs_read_the_size_of_a_pixel_and_what_made_the_map(tmp_path,
     assert described["source"] == "photo"
     assert described["noise_variance"] == 3e-5
     assert described["settings"]["smoothness"] == 5.0
-    assert described["scale"] == "radius (px)"
+    assert described["scale"] == "blur radius (px)"
     assert described["version"] == napari_defocus.__version__
 
 
@@ -314,8 +314,7 @@ def test_map_of_the_terminal_opens_as_one_of_ours(tmp_path, plugins, photograph,
     [image] = viewer.open(photograph)
     [layer] = viewer.open(tmp_path / "photo-blur.tif", plugin="napari-defocus")
     viewer.open(sure, plugin="napari-defocus")
-    what = "standard deviation " if "gaussian" in option else ""
-    assert layer.name == f"photo blur {what}(px)"
+    assert layer.name == "photo blur (px)"
     np.testing.assert_array_equal(layer.data, tifffile.imread(tmp_path / "photo-blur.tif"))
     assert made_by_us(layer) == BLUR_MAP
     assert settings_of_map(layer).smoothness == 7
@@ -324,6 +323,14 @@ def test_map_of_the_terminal_opens_as_one_of_ours(tmp_path, plugins, photograph,
     assert may_be_map_of(layer, image)
     source = source_of_layer(layer, shown_plane(image, viewer.dims), viewer, "disc")
     assert source.confidence is not None
+
+
+def test_map_in_an_early_unit_of_its_lens_is_not_opened_as_radii(tmp_path):
+    path = tmp_path / "photo-blur.tif"
+    early = blur_map_tiff(np.ones((9, 9)), {"psf": "gaussian"}, "standard deviation (px)")
+    path.write_bytes(early)
+    with pytest.raises(ValueError, match=r"standard deviation .* it takes the blur radius"):
+        open_map(ViewerModel(), path)
 
 
 def test_terminal_takes_the_map_that_napari_saved(tmp_path, photograph, measured):

@@ -85,20 +85,10 @@ def test_lens_light_and_noise_of_the_form_reach_the_method(viewer, opened, finis
     assert not widget.settings.noise_variance.enabled
     finish(widget)
     [estimation] = method.estimations
-    assert estimation["psf"] == GeneralizedGaussian(4.0, 4.0)
+    assert estimation["psf"] == GeneralizedGaussian(4.0, 8.0)
     assert estimation["linearize"] == "srgb"
     assert estimation["noise_variance"] == ShotNoise(1e-5, 1e-4)
-    assert tuple(viewer.layers["leaf blur standard deviation (px)"].contrast_limits) == (0.0, 4.0)
-
-
-def test_threshold_follows_the_scale_of_the_lens_until_it_is_changed(viewer, opened):
-    settings = opened(InFocusWidget).settings
-    for lens, threshold in [("gaussian", 1.0), ("polygon", 2.0), ("generalized-gaussian", 1.0)]:
-        settings.lens.lens.value = lens
-        assert settings.threshold.value == threshold
-    settings.threshold.value = 1.5
-    settings.lens.lens.value = "measured"
-    assert settings.threshold.value == 1.5
+    assert tuple(viewer.layers["leaf blur (px)"].contrast_limits) == (0.0, 8.0)
 
 
 def test_no_confidence_layer_if_it_is_not_wanted(viewer, opened, finish, method, texture):

@@ -118,8 +118,8 @@ def test_confidence_comes_with_the_map_if_it_is_wanted(viewer, layer, method, co
 def test_lens_and_threshold_that_cannot_be_are_refused_before_any_work(viewer, layer, method):
     with pytest.raises(ValueError, match="no such file"):
         analysis(viewer, layer, psf="none.npz")
-    with pytest.raises(ValueError, match="below 4 px"):
-        analysis(viewer, layer, psf="gaussian", threshold=4.5)
+    with pytest.raises(ValueError, match="below 8 px"):
+        analysis(viewer, layer, psf="gaussian", threshold=8.5)
     assert not method.estimations
 
 

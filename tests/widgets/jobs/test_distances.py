@@ -71,10 +71,10 @@ def test_blur_becomes_distance(viewer, leaf, side):
     assert made["blur_map"] == "map"
 
 
-def test_scale_that_is_a_standard_deviation_is_half_the_radius(viewer, leaf):
+def test_distance_is_the_same_whatever_the_lens(viewer, leaf):
     blur = np.full(leaf.data.shape, 2.0)
     [depth], _ = shown(viewer, distances(viewer, leaf, blur, psf="gaussian"))
-    np.testing.assert_allclose(blur_from_depth(depth.data, LENS), 4.0, rtol=1e-5)
+    np.testing.assert_allclose(blur_from_depth(depth.data, LENS), 2.0, rtol=1e-5)
 
 
 def test_distance_is_not_known_where_the_confidence_is_low(viewer, leaf, method):

@@ -74,8 +74,8 @@ def test_painting_on_the_shown_map_does_not_change_what_is_kept(viewer, leaf, me
 def test_map_of_ours_says_its_lens_itself(viewer, leaf):
     blur_map, _ = results_on(leaf, viewer, psf="gaussian", max_radius=6.0)
     found = read(source(blur_map, leaf, viewer, psf="polygon:5"), leaf, viewer)
-    assert found.psf == Gaussian(3.0)
-    assert found.name == "leaf blur standard deviation (px)"
+    assert found.psf == Gaussian(6.0)
+    assert found.name == "leaf blur (px)"
     assert not found.layers
 
 
@@ -154,7 +154,7 @@ def test_gaps_are_no_harm_until_something_is_restored(viewer, leaf):
         found.checked_for_restoration()
 
 
-@pytest.mark.parametrize(("psf", "largest"), [("disc", 21.0), ("gaussian", 10.5)])
+@pytest.mark.parametrize(("psf", "largest"), [("disc", 21.0), ("gaussian", 21.0)])
 def test_map_beyond_what_is_restored_is_refused(viewer, leaf, psf, largest):
     theirs = viewer.add_image(np.full(leaf.data.shape, largest), name="theirs")
     found = read(source(theirs, leaf, viewer, psf), leaf, viewer)

@@ -80,13 +80,6 @@ def test_they_are_remembered(edited):
     assert preferred_settings().map == MapSettings(max_radius=6.0, color_sigma=0.035)
 
 
-def test_threshold_follows_the_lens_unless_it_is_said(preferences):
-    preferences.map.psf = "gaussian"
-    assert preferred_settings().mask.threshold == MaskSettings.threshold / 2
-    preferences.mask.threshold = 1.5
-    assert preferred_settings().mask.threshold == 1.5
-
-
 def test_measured_lens_that_is_gone_is_warned_of(preferences, messages, tmp_path):
     lens = tmp_path / "lens.npz"
     MeasuredPSF([1, 4], [np.pad(Disc().kernel(1), 3), Disc().kernel(4)]).save(lens)

@@ -12,7 +12,7 @@ from typing import Any
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
-from napari_defocus.psf.families import Disc
+from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.picker import value_at
@@ -89,7 +89,7 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     _, mask = at.found(IN_FOCUS)
     words = []
     if blur_map is not None and scale is not None:
-        name = str(blur_map.metadata[METADATA_KEY].get("scale", Disc.scale_name))
+        name = str(blur_map.metadata[METADATA_KEY].get("scale", BLUR_RADIUS))
         words.append(f"{scale_prefix(name)}{scale:.1f} px")
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)

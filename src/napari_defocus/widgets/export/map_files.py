@@ -19,11 +19,13 @@ from napari.layers import Image, Layer
 from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
 from napari_defocus.io.encoders import (
     blur_map_tiff,
+    check_unit,
     confidence_tiff,
     description_in_tiff,
     holds,
     values_in_tiff,
 )
+from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.export.stores import NotAMapError, copy_store, is_stored
 from napari_defocus.widgets.layers.result_layers import COLOR_MAP, CONFIDENCE_COLOR_MAP
@@ -141,7 +143,7 @@ def read_map(path: str | os.PathLike[str]) -> Image:
     NotAMapError
         If it is another file.
     ValueError
-        If it is cut off or damaged.
+        If it is cut off or damaged, or from before all lenses had one unit.
     """
     description = description_in_tiff(path)
     result = holds(description)
@@ -150,6 +152,7 @@ def read_map(path: str | os.PathLike[str]) -> Image:
             f"“{Path(path).name}” is no blur map of this plugin or its terminal command. "
             "Open it as a picture instead."
         )
+    check_unit(description, path)
     made = _made(description, result, Path(path))
     largest = description.get("max_scale") or _largest_scale(made.get("settings", {}))
     placed = description.get("layer", {})
@@ -261,4 +264,4 @@ def _usual_name(made: dict[str, Any], result: str) -> str:
     """Return what `result_layers` calls such a layer."""
     if result == CONFIDENCE:
         return f"{made['source']} {CONFIDENCE}"
-    return f"{made['source']} blur {scale_prefix(made.get('scale', 'radius (px)'))}(px)"
+    return f"{made['source']} blur {scale_prefix(made.get('scale', BLUR_RADIUS))}(px)"

@@ -268,6 +268,6 @@ def _restoration(work: Restoration) -> Iterator[str]:
 def _distances(work: Distances) -> Iterator[str]:
     lens = {name: _literal(value) for name, value in asdict(work.lens).items()}
     yield _call("lens", "ThinLens", **lens)
-    keywords = {"side": _literal(work.side), "psf": "candidates.psf"}
+    keywords = {"side": _literal(work.side)}
     yield _call("depth", "depth_from_blur", "blur_map", "lens", **keywords)
     yield f"depth[confidence < {_literal(work.min_confidence)}] = np.nan"

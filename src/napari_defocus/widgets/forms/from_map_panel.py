@@ -54,8 +54,7 @@ class FromMapPanel(ImagePanel):
             choices=self._maps,
             nullable=True,
             tooltip="How wide the blur is at every pixel: estimated from the picture, or an image "
-            "layer of the same height and width that holds it in px (the radius, or for a "
-            "Gaussian its standard deviation).",
+            "layer of the same height and width that holds its radius in px.",
         )
         self.settings = SettingsForm(blur_map=True, mask=False, last_measured=self._last_measured)
 

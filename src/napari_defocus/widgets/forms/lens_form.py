@@ -7,7 +7,7 @@ from magicgui.widgets import ComboBox, FileEdit, FloatSpinBox, SpinBox, Widget
 
 from napari_defocus.psf.families import Annulus, GeneralizedGaussian, Polygon
 from napari_defocus.psf.parsing import psf_from_text, psf_text
-from napari_defocus.settings import MapSettings, MaskSettings, usual_threshold
+from napari_defocus.settings import MapSettings
 
 MEASURED = "measured"
 
@@ -126,12 +126,6 @@ class LensForm:
         defaults = psf_text(psf_from_text(name)).split(":")[1:]
         for field, value in zip(self._needed(), values + defaults[len(values) :], strict=True):
             field.value = float(value)
-
-    def usual_threshold(self) -> float:
-        """Return up to which scale of the chosen lens, in px, a picture is usually in focus."""
-        if self.lens.value == MEASURED:
-            return MaskSettings.threshold
-        return usual_threshold(psf_from_text(self.lens.value))
 
     def show_needed(self) -> None:
         """Hide the fields that the chosen lens does not need; only once they are in a form."""

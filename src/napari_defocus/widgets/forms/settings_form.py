@@ -73,8 +73,6 @@ class SettingsForm:
         self.more = PushButton(name="more", text=_MORE.format("▸"))
         self._more_shown = False
         self._unneeded: list[Widget] = []
-        self._usual_threshold = MaskSettings.threshold
-        self.lens.lens.changed.connect(lambda _: self._follow_lens())
         self.max_radius.changed.connect(lambda largest: self._limit_threshold(largest))
         self.more.changed.connect(lambda _: self.show_more(not self._more_shown))
         self.shot_noise.changed.connect(lambda on: _enable(self.noise_variance, not on))
@@ -135,12 +133,6 @@ class SettingsForm:
         self.more.visible = len(self._unneeded) < len(fields)
         self.show_more(self._more_shown)
         _enable(self.noise_variance, not (estimating and self.shot_noise.value))
-
-    def _follow_lens(self) -> None:
-        """Keep the threshold at its default, if it was, where the lens has another scale."""
-        before, self._usual_threshold = self._usual_threshold, self.lens.usual_threshold()
-        if self.threshold.value == before:
-            self.threshold.value = self._usual_threshold
 
     def _limit_threshold(self, largest: float) -> None:
         self.threshold.largest = largest
@@ -215,8 +207,8 @@ def _max_radius_field() -> FloatSpinBox:
         step=0.5,
         tooltip="The widest blur that is looked for, as the radius of the disc that a point "
         "becomes, in pixels of this picture. It is also the upper end of the map's colours. "
-        "A disc of radius r is as wide as a Gaussian of standard deviation r / 2: Gaussians "
-        "are looked for up to half of it.",
+        "Of a lens that is no disc, it is the radius of the disc that blurs as far: twice the "
+        "standard deviation of a Gaussian.",
     )
 
 
@@ -304,9 +296,8 @@ def _threshold_field() -> SliderField:
         largest=MapSettings.max_radius,
         step=0.1,
         follows=True,
-        tooltip="The widest blur that still counts as in focus: its radius in pixels, or "
-        "its standard deviation for a Gaussian, as the map shows it. "
-        "Changing it does not analyse the picture again.",
+        tooltip="The widest blur that still counts as in focus: its radius in pixels, as the "
+        "map shows it. Changing it does not analyse the picture again.",
     )
 
 

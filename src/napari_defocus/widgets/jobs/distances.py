@@ -98,7 +98,7 @@ class Distances:
         """Return the distances in m, NaN where they are not known."""
         from napari_defocus import depth_from_blur
 
-        depth = depth_from_blur(blur_map.values, self.lens, side=self.side, psf=blur_map.psf)
+        depth = depth_from_blur(blur_map.values, self.lens, side=self.side)
         if blur_map.confidence is not None:
             depth[blur_map.confidence < self.min_confidence] = np.nan
         if np.isnan(depth).all():

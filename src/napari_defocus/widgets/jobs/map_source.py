@@ -16,7 +16,6 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress
-from napari_defocus.psf.families import radius_per_scale
 from napari_defocus.psf.parsing import psf_of
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.jobs.estimation import (
@@ -90,7 +89,7 @@ class BlurMap:
             raise ValueError(
                 f"its blur map “{self.name}” has pixels without a value (NaN). Fill them first."
             )
-        radius = radius_per_scale(self.psf) * float(self.values.max())
+        radius = float(self.values.max())
         if radius > LARGEST_RADIUS:
             raise ValueError(
                 f"its blur map “{self.name}” goes up to a radius of {radius:.4g} px; up to "

@@ -11,7 +11,7 @@ from napari.utils.notifications import show_warning
 
 from napari_defocus import Settings
 from napari_defocus.core.checks import check_confidence, check_threshold
-from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings, usual_threshold
+from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
 
 PLUGIN = "napari-defocus"
 
@@ -46,20 +46,17 @@ def preferred_settings() -> Settings:
     """Return the settings that forms begin with: those of Preferences, defaults for the rest.
 
     A value that cannot be, because somebody has edited the file or a measured lens is gone, has
-    its default, and a warning says so. The threshold follows the lens, as in the forms, unless
-    Preferences say another one. Where napari does not know the plugin, all are defaults.
+    its default, and a warning says so. Where napari does not know the plugin, all are defaults.
     """
     explicit = _explicit()
     estimation = _possible(MapSettings(), explicit.get("map", {}))
-    usual = usual_threshold(estimation.family())
     mask = _possible(MaskSettings(), explicit.get("mask", {}))
-    if mask.threshold == MaskSettings.threshold:
-        mask = replace(mask, threshold=usual)
+    largest = estimation.family().max_scale
     try:
-        check_threshold(mask.threshold, estimation.family().max_scale)
+        check_threshold(mask.threshold, largest)
     except ValueError as reason:
         _warn(reason)
-        mask = replace(mask, threshold=min(usual, estimation.family().max_scale / 2))
+        mask = replace(mask, threshold=min(MaskSettings.threshold, largest / 2))
     return Settings(map=estimation, mask=mask)
 
 

@@ -13,6 +13,7 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
+from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.layers.image_layers import Plane
 
@@ -132,8 +133,8 @@ def noise_description(given: float | None, variances: Collection[float]) -> str:
 
 
 def scale_prefix(scale_name: str) -> str:
-    """Return what a map measures, to be put before "(px)"; nothing if it is a radius, as usual."""
-    return "" if scale_name.endswith("radius (px)") else scale_name.removesuffix("(px)")
+    """Return what a map measures, to be put before "(px)"; nothing if blur radii, as usual."""
+    return "" if scale_name == BLUR_RADIUS else scale_name.removesuffix("(px)")
 
 
 def confidence_description(share: float) -> str:
