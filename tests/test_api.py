@@ -22,6 +22,7 @@ from napari_defocus import (
 
 PUBLIC = {
     "Annulus",
+    "AutomaticPSF",
     "BatchReport",
     "BlurCandidates",
     "Cancelled",
@@ -33,6 +34,7 @@ PUBLIC = {
     "GeneralizedGaussian",
     "KernelFunction",
     "MeasuredPSF",
+    "PSFChoice",
     "PSFComparison",
     "PSFEvidence",
     "PSFFamily",
@@ -165,6 +167,7 @@ RESULTS = {
     "DepthSurface",
     "FitReport",
     "FocusCurve",
+    "PSFChoice",
     "PSFComparison",
     "PSFEvidence",
     "PSFFamily",

@@ -73,6 +73,9 @@ from .likelihood.fitted_spectra import (
 from .likelihood.noise import (
     estimate_noise_variance as estimate_noise_variance,
 )
+from .likelihood.psf_choice import (
+    PSFChoice as PSFChoice,
+)
 from .likelihood.psf_comparison import (
     PSFComparison as PSFComparison,
 )
@@ -108,6 +111,9 @@ from .psf.calibration import (
 )
 from .psf.families import (
     Annulus as Annulus,
+)
+from .psf.families import (
+    AutomaticPSF as AutomaticPSF,
 )
 from .psf.families import (
     Disc as Disc,

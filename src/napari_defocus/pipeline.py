@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from napari_defocus.core.intensity import Intensities, IntensityRange, Limits
     from napari_defocus.likelihood.candidates import BlurCandidates
+    from napari_defocus.likelihood.psf_choice import PSFChoice
     from napari_defocus.likelihood.shot_noise import ShotNoise
     from napari_defocus.psf.families import PSFFamily
     from napari_defocus.restoration.all_in_focus import Restoration
@@ -55,6 +57,11 @@ class Measurement:
     confidence_file: Path | None = None
     candidates: BlurCandidates | None = None
     intensities: Intensities | None = None
+
+    @property
+    def psf_choice(self) -> PSFChoice | None:
+        """How the family was chosen, if the picture was to choose it."""
+        return None if self.candidates is None else self.candidates.psf_choice
 
     @property
     def image_shape(self) -> tuple[int, int]:
@@ -146,6 +153,23 @@ def measure_candidates(
         block_size=block_size,
         progress=progress,
     )
+
+
+def lens_of_planes(
+    planes: Sequence[Any], settings: MapSettings, intensity_range: IntensityRange | None = None
+) -> PSFChoice:
+    """Choose one PSF family for planes that are measured one by one; pixels are read at once."""
+    from napari_defocus.likelihood.estimation import Estimation
+    from napari_defocus.tiled.psf_of_planes import psf_of_planes
+
+    how = Estimation(
+        settings.family(),
+        settings.window,
+        linearize=settings.linearize,
+        intensity_range=intensity_range,
+        camera_softness=settings.camera_softness,
+    )
+    return psf_of_planes(planes, how, settings.noise_variance)
 
 
 def _seen_of(image: Any, axes: str | None) -> Any:
@@ -301,7 +325,7 @@ def _family_up_to(largest: float, settings: MapSettings) -> PSFFamily:
 
 def used(found: BlurCandidates | Measurement, settings: MapSettings) -> dict[str, Any]:
     """Return what files say about how the blur was found."""
-    measured = asdict(settings) | {"noise_variance": found.noise_variance}
+    measured = asdict(settings.settled(found.psf)) | {"noise_variance": found.noise_variance}
     if not isinstance(found, Measurement) or found.map_file is None:
         return measured
     kept = {name: measured[name] for name in ("psf", "linearize", "noise_variance")}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from napari_defocus.core.checks import (
@@ -24,7 +24,7 @@ from napari_defocus.core.checks import (
     check_weights,
     check_whole,
 )
-from napari_defocus.psf import MAX_RADIUS
+from napari_defocus.psf import AUTO, MAX_RADIUS
 
 if TYPE_CHECKING:
     from napari_defocus.psf.families import PSFFamily
@@ -57,7 +57,7 @@ class MapSettings:
         Variance of the noise in the luminance, intensities in [0, 1]; None finds it from
         the picture.
     psf : str
-        The PSF family, as `napari_defocus.psf_from_text` reads it.
+        The PSF family, as `napari_defocus.psf_from_text` reads it; "auto" lets the picture choose.
     max_radius : float
         Largest blur radius that is looked for, in px, see `psf_of`.
     window : int
@@ -113,6 +113,14 @@ class MapSettings:
         from napari_defocus.psf.parsing import psf_of
 
         return psf_of(self.psf, self.max_radius)
+
+    def settled(self, psf: PSFFamily) -> MapSettings:
+        """Return the settings with the family that the picture chose, if it was to choose."""
+        if self.psf != AUTO:
+            return self
+        from napari_defocus.psf.parsing import psf_text
+
+        return replace(self, psf=psf_text(psf))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Unpack, overload
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from napari_defocus.api.dispatch import EstimationOptions, arranged_image, tiled_planes
@@ -18,8 +20,10 @@ from napari_defocus.core.checks import (
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.estimation import Estimation, Search, check_search
-from napari_defocus.likelihood.shot_noise import ShotNoise
-from napari_defocus.psf.families import Disc, PSFFamily
+from napari_defocus.likelihood.psf_choice import choose_psf
+from napari_defocus.likelihood.shot_noise import ShotNoise, noise_of
+from napari_defocus.psf import AUTO
+from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
 from napari_defocus.settings import BLOCK_SIZE, MapSettings
 
 if TYPE_CHECKING:
@@ -53,7 +57,7 @@ def estimate_candidates(
 def estimate_candidates(
     image: ArrayLike,
     *,
-    psf: PSFFamily = Disc(),
+    psf: PSFFamily | Literal["auto"] = Disc(),
     noise_variance: float | ShotNoise | None = MapSettings.noise_variance,
     window: int = MapSettings.window,
     stride: int = MapSettings.stride,
@@ -82,9 +86,12 @@ def estimate_candidates(
         Any real dtype, in any range: k * image + b has the same candidates. What is not known
         carries no evidence: pixels that are NaN, masked (numpy.ma), or fully transparent, where
         a fourth channel is opacity. A stack of pictures if `axes` says so.
-    psf : PSFFamily or callable, optional
+    psf : PSFFamily or callable or "auto", optional
         The family of PSFs; a disc of up to 8 px by default. A function from a scale in px, up
-        to 8, to a kernel is a family too.
+        to 8, to a kernel is a family too. "auto" lets the picture choose: a Gaussian or a ring of
+        obstruction 0.3 or 0.5 if it clearly shows one, else a disc
+        (`BlurCandidates.psf`, `BlurCandidates.psf_choice`); one for all planes of a stack. With
+        another largest radius, `AutomaticPSF`.
     noise_variance : float or ShotNoise, optional
         Variance of the noise in the luminance, intensities in [0, 1] (see `intensity_range`),
         or how it grows with the intensity. By default it is found from the picture, see
@@ -160,8 +167,10 @@ def estimate_candidates(
     if not isinstance(noise_variance, ShotNoise):
         check_noise_variance(noise_variance)
     check_search(search)
+    # What is no family is told by `Estimation`.
+    lens: Any = AutomaticPSF() if isinstance(psf, str) and psf == AUTO else psf
     how = Estimation(
-        psf, window, stride, mode, spectra, search, linearize, intensity_range, camera_softness
+        lens, window, stride, mode, spectra, search, linearize, intensity_range, camera_softness
     )
     check_block_size(block_size)
     image, roles = arranged_image(image, said_axes(image, axes, channel_axis))
@@ -169,5 +178,26 @@ def estimate_candidates(
         from napari_defocus.tiled.candidates import LazyCandidates
 
         planes = tiled_planes(image, roles, intensity_range)
-        return LazyCandidates(planes, how, noise_variance, block_size)
-    return how.candidates(how.prepared(image), noise_variance, progress)
+        if not isinstance(lens, AutomaticPSF):
+            return LazyCandidates(planes, how, noise_variance, block_size)
+        from napari_defocus.tiled.psf_of_planes import psf_of_planes
+
+        progress("Choosing the lens", 0.0)
+        each = [planes.plane(index) for index in np.ndindex(planes.counts)]
+        choice = psf_of_planes(each, how, noise_variance)
+        how = replace(how, psf=choice.psf)
+        return LazyCandidates(planes, how, noise_variance, block_size, psf_choice=choice)
+    picture = how.prepared(image)
+    if not isinstance(lens, AutomaticPSF):
+        return how.candidates(picture, noise_variance, progress)
+    progress("Choosing the lens", 0.0)
+    noise = noise_of(picture) if noise_variance is None else noise_variance
+    choice = choose_psf(
+        [picture],
+        noise=noise,
+        max_radius=lens.max_radius,
+        window=window,
+        camera_softness=camera_softness,
+    )
+    candidates = replace(how, psf=choice.psf).candidates(picture, noise, progress)
+    return replace(candidates, psf_choice=choice)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def arranged_image(image: Any, axes: str | None) -> tuple[Any, str]:
 class EstimationOptions(TypedDict, total=False):
     """Keywords of `estimate_candidates` and `estimate_blur_map` that leave the returned type."""
 
-    psf: PSFFamily
+    psf: PSFFamily | Literal["auto"]
     noise_variance: float | ShotNoise | None
     window: int
     stride: int

@@ -61,7 +61,7 @@ def estimate_blur_map(
 def estimate_blur_map(
     image: ArrayLike,
     *,
-    psf: PSFFamily = Disc(),
+    psf: PSFFamily | Literal["auto"] = Disc(),
     noise_variance: float | ShotNoise | None = MapSettings.noise_variance,
     window: int = MapSettings.window,
     stride: int = MapSettings.stride,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -32,12 +32,14 @@ from napari_defocus.io.ome_zarr_writer import OmeZarrWriter, Region, aside
 from napari_defocus.io.open import Source, open_source
 from napari_defocus.io.provenance import ALL_IN_FOCUS, signature
 from napari_defocus.io.settings_file import Settings
-from napari_defocus.pipeline import Measurement, measure_map, restore, segment, used
+from napari_defocus.pipeline import Measurement, lens_of_planes, measure_map, restore, segment, used
 from napari_defocus.restoration.all_in_focus import Restoration
-from napari_defocus.settings import BLOCK_SIZE
+from napari_defocus.settings import BLOCK_SIZE, MapSettings
 
 if TYPE_CHECKING:
     import dask.array as da
+
+    from napari_defocus.psf.families import PSFFamily
 
 Index = tuple[int, ...]
 
@@ -75,10 +77,9 @@ class BatchPlan:
     intensity_range: tuple[float, float] | None
     block_size: int = BLOCK_SIZE
 
-    def restoration(self, noise_variance: float | None) -> Restoration:
-        """Return how planes are restored."""
-        of_map, tv_weight = self.settings.map, self.settings.restoration.tv_weight
-        psf, linearize = of_map.family(), of_map.linearize
+    def restoration(self, psf: PSFFamily, noise_variance: float | None) -> Restoration:
+        """Return how planes with a family's blur are restored."""
+        linearize, tv_weight = self.settings.map.linearize, self.settings.restoration.tv_weight
         return Restoration(psf, noise_variance, tv_weight, linearize, self.intensity_range)
 
     def counts(
@@ -151,7 +152,8 @@ class PlaneTask:
     """A plane to be measured, (H, W[, 3 or 4]), not yet read.
 
     `known` is what its row says whether it fails or not, `results` what it says of where results
-    are; `stack` is the source if restored planes share a range that is found from all of them.
+    are; `stack` is the source if restored planes share a range that is found from all of them, and
+    `lens_from` if they share a lens that is.
     """
 
     plane: da.Array
@@ -162,6 +164,22 @@ class PlaneTask:
     row_path: Path
     plan: BatchPlan
     stack: Path | None = None
+    lens_from: Path | None = None
+
+    def map_settings(self) -> MapSettings:
+        """Return what shapes the map: with the lens of the stack, which one worker chooses."""
+        settings = self.plan.settings.map
+        if self.lens_from is None:
+            return settings
+        path = self.row_path.with_name("lens.json")
+        noted = read_note(path)
+        if noted is None:
+            source = open_source(self.lens_from)
+            planes = [source.plane(index) for index in source.planes()]
+            chosen = lens_of_planes(planes, settings, self.plan.intensity_range)
+            noted = {"psf": settings.settled(chosen.psf).psf}
+            write_note(path, noted)
+        return replace(settings, psf=noted["psf"])
 
 
 def look_at(path: Path) -> Source | str:
@@ -177,7 +195,7 @@ def measure_plane(task: PlaneTask) -> Row:
     try:
         picture = np.asarray(task.plane.compute(scheduler="synchronous"))
         plan = task.plan
-        found = measure_map(picture, plan.settings.map, plan.intensity_range, silent)
+        found = measure_map(picture, task.map_settings(), plan.intensity_range, silent)
         made = _made_of(found, picture, task)
         _write(task, made, found, picture)
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan)
@@ -222,7 +240,7 @@ def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDA
         limits = _stack_limits(task)
     elif noise is None:
         noise = found.noise_variance
-    safe, how = found.cautious(settings.risk), plan.restoration(noise)
+    safe, how = found.cautious(settings.risk), plan.restoration(found.psf, noise)
     return restore(picture, safe, found.confidence, how, limits=limits)
 
 

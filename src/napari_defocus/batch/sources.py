@@ -33,6 +33,7 @@ from napari_defocus.batch.table import DONE, Row, source_facts
 from napari_defocus.core.intensity import needs_limits
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr, part_of
 from napari_defocus.io.open import Source
+from napari_defocus.psf import AUTO
 
 FileFormat = Literal["auto", "tiff", "ome-zarr"]
 
@@ -162,10 +163,16 @@ class SourceWork:
                 row_path=self.notes.row_path(index),
                 plan=self.plan,
                 stack=self.input.given.absolute() if self._shares_a_range(source) else None,
+                lens_from=self.input.given.absolute() if self._shares_a_lens else None,
             )
             for index in self.planes
             if index not in self.rows
         ]
+
+    @property
+    def _shares_a_lens(self) -> bool:
+        """Whether planes have one lens, which is to be found from some of them."""
+        return len(self.planes) > 1 and self.plan.settings.map.psf == AUTO
 
     def _shares_a_range(self, source: Source) -> bool:
         """Return whether planes are restored in a range that is found from all of them."""

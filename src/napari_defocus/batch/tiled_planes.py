@@ -106,7 +106,7 @@ class TiledPlane:
         from napari_defocus.tiled.tile_tasks import Wanted
 
         plan, plane = self.task.plan, self._plane
-        settings = plan.settings.map
+        settings = self.task.map_settings()
         limits, block_size = plan.intensity_range, plan.block_size
         lazy: Any = measure_candidates(plane, settings, limits, silent, block_size=block_size)
         restoration = plan.settings.restoration if "in_focus" in plan.kinds else None
@@ -119,7 +119,7 @@ class TiledPlane:
         found = lazy.measure(asked)
         if restoration is not None:
             noise = restoration.noise_variance
-            how = plan.restoration(settings.noise_variance if noise is None else noise)
+            how = plan.restoration(lazy.psf, settings.noise_variance if noise is None else noise)
             found["in_focus"] = napari_defocus.restore_all_in_focus(
                 plane,
                 found.pop("cautious"),

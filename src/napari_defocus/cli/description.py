@@ -28,7 +28,8 @@ def picture_facts(
     levels = 255.0 if intensities is None else intensities.grey_levels
     return {
         **file_of_picture(image, found.image_shape),
-        "psf": settings.psf,
+        "psf": settings.settled(found.psf).psf,
+        "psf_choice": found.psf_choice and found.psf_choice.facts(),
         "scale": found.psf.scale_name,
         "camera_softness": settings.camera_softness if settings.mode == "curve" else 0.0,
         "noise_variance": variance,
@@ -88,11 +89,19 @@ def intensity_lines(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"intensities  {facts['intensities']}"
 
 
+def _choice_text(choice: Mapping[str, Any]) -> str:
+    return (
+        f"{choice['psf']} ({'found from' if choice['found'] else 'cannot be told by'} the picture)"
+    )
+
+
 def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
     """Say what `picture_facts`, `file_facts`, `map_facts` and `mask_facts` are."""
     yield from picture_lines(facts)
     softness = f"camera softness {facts['camera_softness']:g} px"
-    yield f"lens         {facts['psf']}, scale: {facts['scale']}; {softness}"
+    chosen = facts["psf_choice"]
+    lens = facts["psf"] if chosen is None else _choice_text(chosen)
+    yield f"lens         {lens}, scale: {facts['scale']}; {softness}"
     yield from intensity_lines(facts)
     if facts["noise_variance"] is not None:
         variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]

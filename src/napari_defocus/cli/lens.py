@@ -18,6 +18,7 @@ from napari_defocus.cli.description import (
 from napari_defocus.cli.results import check_endings
 from napari_defocus.core.checks import Linearize
 from napari_defocus.core.progress import Progress
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import COMPARED_PSFS, MapSettings
 
 if TYPE_CHECKING:
@@ -133,6 +134,7 @@ def compare(
     family: list[str] | None = None,
     noise_variance: float | None = MapSettings.noise_variance,
     max_radius: float = MapSettings.max_radius,
+    camera_softness: float = MapSettings.camera_softness,
     linearize: Linearize | None = MapSettings.linearize,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress,
@@ -141,12 +143,15 @@ def compare(
     from napari_defocus.io.pictures import read_picture
     from napari_defocus.psf.parsing import psf_of
 
+    if AUTO in (family or ()):
+        raise ValueError("family is 'auto', which is no lens; it takes a lens such as disc")
     text_of = {psf_of(text, max_radius): text for text in family or COMPARED_PSFS}
     picture = read_picture(image)
     comparison = napari_defocus.compare_psf(
         picture,
         list(text_of),
         noise_variance=noise_variance,
+        camera_softness=camera_softness,
         linearize=linearize,
         intensity_range=intensity_range,
         progress=progress,
@@ -158,6 +163,7 @@ def compare(
             "best_in_percent": 100.0 * row.share,
             "median_px": row.median_scale,
             "scale": row.psf.scale_name,
+            "softness_px": row.softness,
         }
         for row in comparison
     ]

@@ -72,7 +72,8 @@ image IMAGE
     largest level.
 psf TEXT
     What a lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION, gaussian,
-    generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote.
+    generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote. auto lets the picture
+    choose, and says what it chose.
 noise_variance NUMBER
     Variance of the noise in the luminance, intensities from 0 to 1. Found from the picture if
     left out.

@@ -12,6 +12,7 @@ from napari_defocus.cli.description import intensity_facts, intensity_lines
 from napari_defocus.cli.results import beside, check_endings
 from napari_defocus.core.checks import Linearize
 from napari_defocus.core.progress import Progress
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import CONFIDENT, MapSettings
 
 if TYPE_CHECKING:
@@ -99,6 +100,8 @@ def sharpest(
         "linearize": linearize,
     }
     family = MapSettings(psf=psf, max_radius=max_radius, **shaping).family()
+    if psf == AUTO:
+        raise ValueError("psf is 'auto', which only maps take; it takes a lens such as disc")
     check_endings([path for path in (output, position, confidence) if path], ".tif", ".tiff")
     source = open_stack(stack)
     wanted = (output or _usual_output(source), position, confidence)

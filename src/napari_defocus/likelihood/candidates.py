@@ -15,6 +15,7 @@ from napari_defocus.core.checks import (
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.gabor import padding
+from napari_defocus.likelihood.psf_choice import PSFChoice
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 
@@ -65,6 +66,8 @@ class BlurCandidates:
     intensities : Intensities or None
         Which intensities of the picture are 0 and 1, and its contrast. What labels it takes
         them from here, unless it is given others. None of candidates made by hand.
+    psf_choice : PSFChoice or None
+        How `psf` was chosen, if the picture was to choose it.
     """
 
     radii: Float32
@@ -81,6 +84,7 @@ class BlurCandidates:
     mode: Mode
     shot_noise: ShotNoise | None = None
     intensities: Intensities | None = None
+    psf_choice: PSFChoice | None = None
 
     def places_of_window(self) -> NDArray[np.int64]:
         """Return how many places share the window of each: (R, C), above 1 along the border."""

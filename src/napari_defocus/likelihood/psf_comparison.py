@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from napari_defocus.core.checks import Linearize, check_noise_variance
+from napari_defocus.core.checks import Linearize, check_noise_variance, check_softness
 from napari_defocus.core.image import prepare_image
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
 from napari_defocus.likelihood.exact_spectra import check_windows
-from napari_defocus.likelihood.gabor import gradients, local_power, window_centers, within_picture
-from napari_defocus.likelihood.noise import noise_variance_of
-from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
+from napari_defocus.likelihood.shot_noise import ShotNoise
+from napari_defocus.likelihood.window_evidence import (
+    LARGEST_LOSS,
+    FamilyFit,
+    Windows,
+    family_fit,
+)
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.parsing import psf_text
 from napari_defocus.settings import MapSettings
 
 _WINDOWS_APART = 4
 """Windows are a quarter of their side apart. Chosen by hand."""
-
-_LARGEST_LOSS = 10.0
-"""Units of log-likelihood that a family loses in a window at most. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,16 @@ class PSFEvidence:
         Of the windows for which it is the best.
     median_scale : float
         Median over windows of the most likely scale, in px.
+    softness : float
+        Standard deviation, in px, of the Gaussian behind it with which it explains the picture
+        best: the camera's own, or more if the scene lacks fine details.
     """
 
     psf: PSFFamily
     log_evidence: float
     share: float
     median_scale: float
+    softness: float
 
 
 @dataclass(frozen=True)
@@ -93,19 +97,23 @@ def compare_psf(
     image: ArrayLike,
     families: Sequence[PSFFamily | Callable[[float], ArrayLike]],
     *,
-    noise_variance: float | None = MapSettings.noise_variance,
+    noise_variance: float | ShotNoise | None = MapSettings.noise_variance,
     window: int = MapSettings.window,
+    camera_softness: float = MapSettings.camera_softness,
     linearize: Linearize | None = MapSettings.linearize,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> PSFComparison:
     r"""Compare how well PSF families explain a picture.
 
-    The evidence of a family in a window is the mean of p(r) of (9) over its R scales, which is a
-    flat prior on them. What a family loses to the best one is the mean over windows of
+    The evidence of a family in a window is the mean over its R scales of p(r) of (9), with the
+    prior exp(-0.25 r) of the maps. The camera's softness is part of the kernels, or a larger one
+    of 0.7, 1, 1.4 or 2 px if that explains the picture as a whole better with this family: scenes
+    lack fine details, too (not with `Gaussian`, of which the radius says it all). What a family
+    loses to the best one is the mean over windows of
 
     .. math:: \min\left(\max_j \log e_j - \log e, \, 10\right), \qquad
-        e = \frac{1}{R} \sum_r p(r), \qquad
+        e = \frac{1}{R} \sum_r p(r) \, e^{-r / 4}, \qquad
         p(r) = \max_s \prod_i \frac{1}{v_i} \exp\left(-\frac{|g_i^{\nabla}|^2}{v_i}\right), \qquad
         v_i = s \, \sigma_i^2(r) + \sigma_{ni}^2
 
@@ -118,10 +126,12 @@ def compare_psf(
         See `estimate_candidates`.
     families : sequence of PSFFamily or callable
         At least one.
-    noise_variance : float, optional
-        Of the luminance. By default the smallest that is found with any of the families.
+    noise_variance : float or ShotNoise, optional
+        Of the luminance, or how it grows with the intensity. By default it is found.
     window : int, optional
         Side N of the analysis window, px.
+    camera_softness : float, optional
+        Standard deviation, in px, of the blur that the camera has of its own, at least.
     linearize : {"srgb"}, optional
         Decode the intensities into linear light first.
     intensity_range : (float, float), optional
@@ -155,40 +165,21 @@ def compare_psf(
     checked = [check_windows(psf, window) for psf in given]
     if not checked:
         raise ValueError("families is empty; it takes at least one PSF family")
-    check_noise_variance(noise_variance)
+    if not isinstance(noise_variance, ShotNoise):
+        check_noise_variance(noise_variance)
+    check_softness(camera_softness)
     picture = prepare_image(image, intensity_range, linearize)
     progress("Measuring the noise", 0.0)
-    if noise_variance is None:
-        noise_variance = noise_variance_of(picture)
-    gradient = gradients(picture.evened, picture.opaque, window)
-    rows, columns = (
-        np.unique(
-            within_picture(window_centers(length, window // _WINDOWS_APART) + pad, full, window)
-        )
-        for length, pad, full in zip(
-            picture.shape,
-            gradient.pad,
-            (gradient.along_columns.shape[0], gradient.along_rows.shape[1]),
-            strict=True,
-        )
-    )
-    power = local_power(gradient, rows, columns, window)
-    power = power.reshape(-1, *power.shape[2:])
-    power = power[power.any(axis=(1, 2))]
-    if not len(power):
+    windows = Windows.of(picture, noise_variance, window, window // _WINDOWS_APART)
+    if not len(windows.power):
         raise ValueError("image has no texture; no PSF family can be told from another")
-    least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
-    evidence, best_scale = np.empty((2, len(checked), len(power)))
+    fits = []
     for index, psf in enumerate(checked):
         progress("Comparing PSF families", index / len(checked))
-        table = spectrum_table(psf, window, rows[0] % 1, columns[0] % 1, "exact")
-        scales = label_scales(psf)
-        curve = profile_log_likelihood(power, table, scales, least_noise)
-        evidence[index] = _log_mean_exp(curve)
-        best_scale[index] = scales[curve.argmax(axis=1)]
+        fits.append(family_fit([windows], psf, camera_softness))
     progress("Comparing PSF families", 1.0)
-    found = _comparison(checked, evidence, best_scale, noise_variance)
-    return replace(found, intensities=picture.intensities)
+    rows = _rows(checked, fits)
+    return PSFComparison(rows, len(windows.power), windows.noise_variance, picture.intensities)
 
 
 def _name(psf: PSFFamily) -> str:
@@ -198,22 +189,14 @@ def _name(psf: PSFFamily) -> str:
         return type(psf).__name__
 
 
-def _log_mean_exp(curve: NDArray[np.float32]) -> NDArray[np.floating]:
-    top = curve.max(axis=1, keepdims=True)
-    return top[:, 0] + np.log(np.exp(curve - top).mean(axis=1))
-
-
-def _comparison(
-    families: Sequence[PSFFamily],
-    evidence: NDArray[np.floating],
-    best_scale: NDArray[np.floating],
-    noise_variance: float,
-) -> PSFComparison:
-    loss = np.minimum(evidence.max(axis=0) - evidence, _LARGEST_LOSS).mean(axis=1)
+def _rows(families: Sequence[PSFFamily], fits: Sequence[FamilyFit]) -> tuple[PSFEvidence, ...]:
+    evidence = np.array([fit.evidence for fit in fits])
+    loss = np.minimum(evidence.max(axis=0) - evidence, LARGEST_LOSS).mean(axis=1)
     wins = np.bincount(evidence.argmax(axis=0), minlength=len(families)) / evidence.shape[1]
     found = [
-        PSFEvidence(psf, -float(loss[i]), float(wins[i]), float(np.median(best_scale[i])))
+        PSFEvidence(
+            psf, -float(loss[i]), float(wins[i]), float(np.median(fits[i].scale)), fits[i].softness
+        )
         for i, psf in enumerate(families)
     ]
-    found.sort(key=lambda row: -row.log_evidence)
-    return PSFComparison(tuple(found), evidence.shape[1], float(noise_variance))
+    return tuple(sorted(found, key=lambda row: -row.log_evidence))

@@ -4,5 +4,8 @@ MAX_RADIUS = 8.0
 """Largest radius, in px, that is looked for unless another one is said: by default half of what
 windows of 41 px can tell with ease. Here, where it costs no import of SciPy."""
 
+AUTO = "auto"
+"""The PSF family that a picture chooses, in text."""
+
 BLUR_RADIUS = "blur radius (px)"
 """What the scale of a family measures if it is twice the standard deviation along an axis."""

@@ -441,6 +441,47 @@ class KernelFunction:
         )
 
 
+@dataclass(frozen=True)
+class AutomaticPSF:
+    """The family that a picture is to choose, see `napari_defocus.estimate_candidates`.
+
+    It has no kernels: candidates of a picture have the family that was chosen.
+
+    Parameters
+    ----------
+    max_radius : float
+        Largest blur radius that is looked for, in px.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `max_radius` is no number, is not finite or below 1 px.
+
+    Examples
+    --------
+    >>> AutomaticPSF().scale_name
+    'blur radius (px)'
+    """
+
+    max_radius: float = MAX_RADIUS
+    scale_name: ClassVar[str] = BLUR_RADIUS
+
+    def __post_init__(self) -> None:
+        check_largest("max_radius", self.max_radius)
+
+    @property
+    def max_scale(self) -> float:
+        """The largest blur radius, in px."""
+        return self.max_radius
+
+    def kernel(self, scale: float) -> NDArray[np.float64]:
+        """Raise a ValueError: only a picture can say which family it is."""
+        raise ValueError(
+            "psf is 'auto', which a picture chooses when its candidates are estimated; "
+            "it takes a PSF family such as Disc() here"
+        )
+
+
 def as_family(psf: PSFFamily | Callable[[float], ArrayLike]) -> PSFFamily:
     """Return a PSF family as it is, and a function of the scale as a `KernelFunction`.
 

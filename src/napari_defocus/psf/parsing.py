@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import astuple, fields, replace
 from typing import Any
 
+from napari_defocus.psf import AUTO
 from napari_defocus.psf.families import (
     Annulus,
+    AutomaticPSF,
     Disc,
     Gaussian,
     GeneralizedGaussian,
@@ -16,9 +18,10 @@ from napari_defocus.psf.families import (
 )
 from napari_defocus.psf.measured import MeasuredPSF
 
-_Written = Disc | Gaussian | GeneralizedGaussian | Polygon | Annulus
+_Written = AutomaticPSF | Disc | Gaussian | GeneralizedGaussian | Polygon | Annulus
 
 _SPELLED: dict[str, tuple[Callable[..., _Written], tuple[Callable[[str], float], ...]]] = {
+    AUTO: (AutomaticPSF, ()),
     "disc": (Disc, ()),
     "gaussian": (Gaussian, ()),
     "generalized-gaussian": (GeneralizedGaussian, (float,)),
@@ -27,7 +30,7 @@ _SPELLED: dict[str, tuple[Callable[..., _Written], tuple[Callable[[str], float],
 }
 
 PSF_TEXTS = (
-    "disc, gaussian, generalized-gaussian:EXPONENT, polygon:BLADES[:ROTATION], "
+    "auto, disc, gaussian, generalized-gaussian:EXPONENT, polygon:BLADES[:ROTATION], "
     "annulus:OBSTRUCTION, or the path of a saved .npz"
 )
 """What `psf_from_text` takes, for help and errors."""
@@ -39,8 +42,9 @@ def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
     Parameters
     ----------
     text : str
-        "disc", "gaussian", "generalized-gaussian:1.5", "polygon:6", "polygon:6:15" (rotation in
-        degrees), "annulus:0.5", or the path of a .npz file that `MeasuredPSF.save` wrote.
+        "auto" (the picture chooses), "disc", "gaussian", "generalized-gaussian:1.5", "polygon:6",
+        "polygon:6:15" (rotation in degrees), "annulus:0.5", or the path of a .npz file that
+        `MeasuredPSF.save` wrote.
         Parameters that are left out have the family's defaults.
     max_scale : float, optional
         Largest scale that is looked for, in px; by default the family's own.

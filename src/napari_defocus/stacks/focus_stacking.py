@@ -25,7 +25,7 @@ from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.exact_spectra import check_windows
 from napari_defocus.likelihood.noise import noise_variance_of
-from napari_defocus.psf.families import Disc, PSFFamily
+from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
 from napari_defocus.settings import MapSettings
 from napari_defocus.stacks.depth_from_focus import RingBank, StackPower
 from napari_defocus.stacks.focus_labels import FocusCostVolume, focus_measure
@@ -216,6 +216,8 @@ def sharpest_plane(
     True
     """
     psf = check_windows(psf, window)
+    if isinstance(psf, AutomaticPSF):
+        raise ValueError("psf is 'auto'; it takes a PSF family such as Disc(): no picture chooses")
     axes = said_axes(stack, axes, channel_axis, "stack")
     planes = StackPlanes.of(stack, axes, channel=channel, time=time)
     _check_settings(px_per_plane, noise_variance, stride, window)

@@ -24,6 +24,7 @@ from napari_defocus.core.progress import Progress, silent
 from napari_defocus.likelihood.blur_spectra import label_scales
 from napari_defocus.likelihood.estimation import Estimation, Search
 from napari_defocus.likelihood.maxima import CANDIDATES
+from napari_defocus.likelihood.psf_choice import PSFChoice
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import RestorationSettings
@@ -65,6 +66,8 @@ class LazyCandidates:
         Side of the tiles of a plane, in px.
     found_noise : mapping of tuple to Noise
         That of each plane by its index, if it was found before, see `with_noise`.
+    psf_choice : PSFChoice or None
+        How the family of all planes was chosen, if they were to choose it.
     """
 
     planes: LazyPlanes
@@ -72,6 +75,7 @@ class LazyCandidates:
     noise_variance: float | ShotNoise | None
     block_size: int
     found_noise: Mapping[Index, Noise] = field(default_factory=dict, repr=False)
+    psf_choice: PSFChoice | None = None
 
     @property
     def plane_shape(self) -> Index:

@@ -40,7 +40,7 @@ def noise_of_plane(
     if intensities is None:
         intensities = intensities_of_plane(plane, how.intensity_range)
     read = after(plane, intensities)
-    pieces, every = _noise_pieces(plane.shape[:2])
+    pieces, every = pieces_of_plane(plane.shape[:2]), _every(plane.shape[:2])
     graph = TileGraph("noise", read, intensities, given, how)
     samples = [
         graph.add(number, look_at_noise, pixels(read, piece), how, intensities, every)
@@ -66,7 +66,7 @@ def intensities_of_plane(
         `Limits` to go by instead of the plane's own.
     """
     graph = TileGraph("intensities", plane, limits, intensity_range)
-    pieces, every = _noise_pieces(plane.shape[:2])
+    pieces, every = pieces_of_plane(plane.shape[:2]), _every(plane.shape[:2])
     some = 1 if every == 1 else _EVERY_INTENSITY
     values = [
         graph.add(number, known_values, pixels(plane, piece), some)
@@ -96,14 +96,19 @@ def _limits_of_blocks(graph: TileGraph, plane: Any) -> list[Any]:
     ]
 
 
-def _noise_pieces(shape: tuple[int, int]) -> tuple[list[tuple[slice, slice]], int]:
-    """Return where the noise of a plane is looked at, and at every how many pixels."""
+def pieces_of_plane(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+    """Return the pieces of a plane that tell of all of it: all, or squares of a large one."""
     if shape[0] * shape[1] <= _WHOLE:
-        return [(slice(0, shape[0]), slice(0, shape[1]))], 1
+        return [(slice(0, shape[0]), slice(0, shape[1]))]
     rows, columns = (
         [slice(start, start + _PIECE) for start in _starts(length)] for length in shape
     )
-    return [(row, column) for row in rows for column in columns], _EVERY
+    return [(row, column) for row in rows for column in columns]
+
+
+def _every(shape: tuple[int, int]) -> int:
+    """Return at every how many pixels the noise is looked at."""
+    return 1 if shape[0] * shape[1] <= _WHOLE else _EVERY
 
 
 def sampled(image: Any) -> NDArray[Any]:

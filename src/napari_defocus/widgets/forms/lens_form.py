@@ -5,6 +5,7 @@ from pathlib import Path
 
 from magicgui.widgets import ComboBox, FileEdit, FloatSpinBox, SpinBox, Widget
 
+from napari_defocus.psf import AUTO
 from napari_defocus.psf.families import Annulus, GeneralizedGaussian, Polygon
 from napari_defocus.psf.parsing import psf_from_text, psf_text
 from napari_defocus.settings import MapSettings
@@ -12,6 +13,7 @@ from napari_defocus.settings import MapSettings
 MEASURED = "measured"
 
 LENSES = {
+    AUTO: "auto: found from the picture",
     "disc": "disc: round aperture",
     "polygon": "polygon: aperture blades",
     "annulus": "ring: mirror lens",
@@ -39,7 +41,8 @@ class LensForm:
             label="lens",
             choices=[(title, name) for name, title in LENSES.items()],
             tooltip="What the lens makes of a point that is out of focus. A disc suits most "
-            "photographs; “Which lens fits?” compares them on the picture.",
+            "photographs; auto takes a Gaussian or a ring if the picture clearly shows one, and "
+            "says so. “Which lens fits?” compares them on the picture.",
         )
         self.blades = SpinBox(
             name="blades",

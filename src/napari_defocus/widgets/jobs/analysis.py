@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.checks import check_threshold
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.psf import AUTO
 from napari_defocus.psf.parsing import psf_of
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.estimation import (
@@ -35,6 +36,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     IN_FOCUS,
     METADATA_KEY,
+    say_lens,
 )
 from napari_defocus.widgets.layers.seeds import Seeds
 
@@ -146,7 +148,7 @@ class Analysis(Wanted):
         layers = []
         common: dict[str, Any] = {"channel": channel, "progress": progress}
         if self.blur_map:
-            settings = self.estimation
+            settings = self.estimation.settled(analysed.candidates.psf)
             values = analysed.on_problem(preview_of_blur_map, settings=settings, **common)
             found = analysed.candidates
             used = settings, found.noise_variance, found.psf, found.intensities
@@ -178,8 +180,10 @@ class Analysis(Wanted):
     def _mask_layer(self, analysed: Analysed, mask: NDArray[np.uint8]) -> LayerDataTuple:
         assert self.mask is not None
         candidates, seeds = analysed.candidates, self.seeds.name if self.seeds else None
-        used = self.mask, self.estimation, candidates.noise_variance, seeds
-        return in_focus_layer(self.plane, self.plane.counted(mask), *used, candidates.intensities)
+        settings = self.estimation.settled(candidates.psf)
+        used = self.mask, settings, candidates.noise_variance, seeds, candidates.intensities
+        layer = in_focus_layer(self.plane, self.plane.counted(mask), *used)
+        return say_lens([layer], candidates.psf_choice)[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,6 +206,7 @@ class Comparison:
 
         settings = self.estimation
         texts = dict.fromkeys([*COMPARED_PSFS, settings.psf])
+        texts.pop(AUTO, None)
         text_of = {psf_of(text, settings.max_radius): text for text in texts}
         picture = Picture.of(self.plane)
         comparison = picture.call(
@@ -210,6 +215,7 @@ class Comparison:
             list(text_of),
             noise_variance=settings.noise_variance,
             window=settings.window,
+            camera_softness=settings.camera_softness,
             linearize=settings.linearize,
             progress=progress,
         )

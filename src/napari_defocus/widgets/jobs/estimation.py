@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from napari_defocus import pipeline
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import MapSettings, MaskSettings, RestorationSettings
 from napari_defocus.widgets.jobs.cache import LayerCache, fingerprint
 from napari_defocus.widgets.layers.image_layers import Plane
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from napari_defocus import BlurCandidates, PSFFamily
     from napari_defocus.core.intensity import Intensities
     from napari_defocus.labeling.problem import Ingredients
+    from napari_defocus.likelihood.psf_choice import PSFChoice
 
 Float32 = NDArray[np.float32]
 T = TypeVar("T")
@@ -95,6 +97,8 @@ class EstimatedMap:
     psf : PSFFamily
     intensities : Intensities or None
         What the variance is measured in.
+    psf_choice : PSFChoice or None
+        How the family was chosen, if the picture was to choose it.
     """
 
     values: Float32
@@ -103,6 +107,7 @@ class EstimatedMap:
     noise_variance: float
     psf: PSFFamily
     intensities: Intensities | None = None
+    psf_choice: PSFChoice | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,13 +265,19 @@ def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress)
         found = pipeline.label_map(candidates, picture.image, settings, progress=progress)
         values, sure = found.blur_map, found.confidence
         safe = found.cautious(RestorationSettings.risk)
-    used = candidates.noise_variance, candidates.psf, candidates.intensities
+    used = candidates.noise_variance, candidates.psf, candidates.intensities, candidates.psf_choice
     return EstimatedMap(values, safe, sure, *used)
 
 
 def known_map(picture: Picture, settings: MapSettings, cache: JobCache) -> EstimatedMap | None:
     """Return the blur map of a picture if an earlier run has estimated it."""
-    return cache.maps.known(picture.plane.layer, _key(picture, settings))
+    found = cache.maps.known(picture.plane.layer, _key(picture, settings))
+    if found is not None:
+        return found
+    # Its layer says the lens that the picture has chosen.
+    asked = replace(settings, psf=AUTO)
+    chosen = cache.maps.known(picture.plane.layer, _key(picture, asked))
+    return chosen if chosen is not None and asked.settled(chosen.psf) == settings else None
 
 
 def _key(picture: Picture, settings: MapSettings) -> tuple[Any, ...]:

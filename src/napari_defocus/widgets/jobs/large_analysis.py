@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,12 @@ from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.pipeline import measure_candidates
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.jobs.analysis import Wanted
 from napari_defocus.widgets.jobs.estimation import JobCache
-from napari_defocus.widgets.jobs.tiled_job import TiledJob, measure_into
+from napari_defocus.widgets.jobs.tiled_job import TiledJob, as_dask, measure_into
 from napari_defocus.widgets.layers.image_layers import LARGEST_IN_MEMORY, Plane
 from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
@@ -106,6 +108,11 @@ class LargeAnalysis(Wanted):
         """
         progress("Preparing", 0.0)
         work = self._work()
+        if self.estimation.psf == AUTO:
+            image = as_dask(work.image.array, work.axes)
+            choice = measure_candidates(image, self.estimation, axes=work.axes).psf_choice
+            settled = replace(self, estimation=self.estimation.settled(choice.psf))
+            return settled.run(cache, progress).with_lens(choice)
         writers: dict[str, OmeZarrWriter] = {}
         with whole_or_gone(writers):
             for result in self.dtypes:

@@ -42,6 +42,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     results_of,
     run_of,
     same_estimation,
+    say_lens,
 )
 
 if TYPE_CHECKING:
@@ -143,12 +144,13 @@ def layers_of_map(plane: Plane, settings: MapSettings, found: EstimatedMap) -> l
 
     They hold copies: what somebody paints on a layer is not cached.
     """
-    made_with = settings, found.noise_variance
+    made_with = settings.settled(found.psf), found.noise_variance
     sure, intensities = plane.counted(found.confidence), found.intensities
-    return [
+    layers = [
         blur_map_layer(plane, found.values.copy(), *made_with, found.psf, intensities),
         confidence_layer(plane, sure, *made_with, intensities),
     ]
+    return say_lens(layers, found.psf_choice)
 
 
 @dataclass(frozen=True, kw_only=True)

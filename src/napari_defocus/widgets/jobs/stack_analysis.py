@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from napari.layers import Labels
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus import pipeline
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.jobs.analysis import Analysis, Wanted
-from napari_defocus.widgets.jobs.estimation import JobCache
+from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
@@ -35,6 +38,9 @@ from napari_defocus.widgets.layers.result_stores import (
     whole_or_gone,
 )
 from napari_defocus.widgets.layers.seeds import seeds_of_plane
+
+if TYPE_CHECKING:
+    from napari_defocus.likelihood.psf_choice import PSFChoice
 
 MOST_IN_MEMORY = 1_000_000_000
 """In bytes: results that fill more are kept on the disk."""
@@ -102,6 +108,10 @@ class StackAnalysis(Wanted):
         NotAnalysableError
             If no plane can be analysed.
         """
+        choice = self._chosen_lens()
+        if choice is not None:
+            settled = replace(self, estimation=self.estimation.settled(choice.psf))
+            return settled.run(cache, progress).with_lens(choice)
         if not self.is_large:
             return self._analysed(
                 {name: self._empty(name) for name in self.dtypes}, cache, progress
@@ -131,6 +141,18 @@ class StackAnalysis(Wanted):
         if len(found.refused) == len(positions):
             raise NotAnalysableError(next(iter(found.refused.values())))
         return Results(self._layers(found), self._summary(found))
+
+    def _chosen_lens(self) -> PSFChoice | None:
+        """Return the lens of all planes, if they are to choose it; None if none can be read."""
+        if self.estimation.psf != AUTO:
+            return None
+        from napari_defocus.tiled.psf_of_planes import MOST_PLANES, evenly_spaced
+
+        positions, planes = list(self.positions()), []
+        for number in evenly_spaced(len(positions), MOST_PLANES):
+            with suppress(ValueError):
+                planes.append(Picture.of(self.plane.at_position(positions[number])).image)
+        return pipeline.lens_of_planes(planes, self.estimation) if planes else None
 
     def of_plane(self, plane: Plane) -> Analysis:
         """Return what is wanted of one plane."""

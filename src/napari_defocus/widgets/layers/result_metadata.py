@@ -3,6 +3,8 @@
 No Qt here, as in `layers`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +15,7 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
+from napari_defocus.likelihood.psf_choice import PSFChoice
 from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.layers.image_layers import Plane
@@ -70,6 +73,10 @@ class Results:
 
     layers: list[LayerDataTuple]
     summary: str
+
+    def with_lens(self, choice: PSFChoice) -> Results:
+        """Return them, saying how the lens of all planes was chosen."""
+        return Results(say_lens(self.layers, choice), f"Lens: {choice}\n{self.summary}")
 
 
 def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -130,6 +137,14 @@ def noise_description(given: float | None, variances: Collection[float]) -> str:
     low, high = float(min(variances)), float(max(variances))
     span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
     return f"Noise variance {span} ({'found' if given is None else 'given'})"
+
+
+def say_lens(layers: list[LayerDataTuple], choice: PSFChoice | None) -> list[LayerDataTuple]:
+    """Let the metadata of new layers say how the lens was chosen, if the picture was to choose."""
+    if choice is not None:
+        for _, keywords, _ in layers:
+            keywords["metadata"][METADATA_KEY]["lens"] = f"Lens: {choice}"
+    return layers
 
 
 def scale_prefix(scale_name: str) -> str:

@@ -1,0 +1,138 @@
+"""Which PSF family a picture shows, if it can tell: what `psf="auto"` takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from napari_defocus.core.image import PreparedImage
+from napari_defocus.likelihood.shot_noise import ShotNoise
+from napari_defocus.likelihood.window_evidence import (
+    LARGEST_LOSS,
+    Windows,
+    family_fit,
+)
+from napari_defocus.psf import MAX_RADIUS
+from napari_defocus.psf.families import Annulus, Disc, Gaussian, PSFFamily
+from napari_defocus.psf.parsing import psf_text
+
+_OTHERS = (Gaussian(), Annulus(0.3), Annulus(0.5))
+"""What is chosen instead of a disc: polygons, real irises, are as well measured as discs."""
+
+_LIMIT = 1.5
+"""Units of log-likelihood, in the mean of windows, by which a family must be better than the disc.
+On simulations and photographs (docs/decisions.md)."""
+
+_WIDEST, _NARROWEST = 0.875, 1.5
+"""Windows vote if their likeliest radius is between 1.5 px and 7 of 8 px: all families are alike
+below, and beyond the domain anything may fit. By hand."""
+
+_TEXTURED = 20.0
+"""Units of log-likelihood that the likeliest radius of a textured window is above the least likely
+one: flat places have less. By hand."""
+
+_LEAST_SHARE, _LEAST_WINDOWS = 1 / 3, 30
+"""Of textured windows, so many have to vote, and so many of all: the few blurred places of a sharp
+picture are mostly lone edges, which fit rings. On simulations and photographs (decisions.md)."""
+
+_MOST_WINDOWS, _CLOSEST = 900, 4
+"""About how many windows are looked at, and the part of their side that they are apart at least."""
+
+
+@dataclass(frozen=True)
+class PSFChoice:
+    """The PSF family that a picture shows, or the disc where it cannot tell; `str` is a line.
+
+    Attributes
+    ----------
+    psf : PSFFamily
+    found : bool
+        Whether the picture tells it.
+    margin : float
+        Units of log-likelihood, in the mean of the windows that voted, by which it is better than
+        the disc, or the disc than the next; below 0, another one is better, but not clearly. 0 if
+        too few windows voted.
+    windows : int
+        How many voted.
+    """
+
+    psf: PSFFamily
+    found: bool
+    margin: float
+    windows: int
+
+    def __str__(self) -> str:
+        """Return what users are told."""
+        if self.found:
+            return f"{psf_text(self.psf)}, found from the picture"
+        return f"{psf_text(self.psf)}; the picture cannot tell"
+
+    def facts(self) -> dict[str, Any]:
+        """Return it as JSON holds it."""
+        return {
+            "psf": psf_text(self.psf),
+            "found": self.found,
+            "margin": self.margin,
+            "windows": self.windows,
+        }
+
+
+def choose_psf(
+    pictures: Sequence[PreparedImage],
+    *,
+    noise: float | ShotNoise | None,
+    max_radius: float,
+    window: int,
+    camera_softness: float,
+) -> PSFChoice:
+    """Choose the family that made pictures: disc, Gaussian, ring of obstruction 0.3 or 0.5.
+
+    Textured windows with a blur from 1.5 px to 7/8 of the domain vote. If they are a third of the
+    textured ones, 30 at least, and one family is better than the disc by 1.5 in the mean
+    log-likelihood of a window, it is taken; else the disc stays.
+
+    Parameters
+    ----------
+    pictures : sequence of PreparedImage
+        Samples that one lens made.
+    noise : float, ShotNoise or None
+        As `estimate_candidates` takes it.
+    max_radius : float
+        Largest blur radius of the chosen family, in px. Up to 8 px are looked at.
+    window : int
+        Side N of the analysis window, in px.
+    camera_softness : float
+        px, see `napari_defocus.compare_psf`.
+    """
+    samples = [
+        Windows.of(picture, noise, window, _stride(picture, window, len(pictures)))
+        for picture in pictures
+    ]
+    largest = min(max_radius, MAX_RADIUS)
+    families = [replace(psf, max_radius=largest) for psf in (Disc(), *_OTHERS)]
+    fits = [family_fit(samples, psf, camera_softness) for psf in families]
+    evidence = np.array([fit.evidence for fit in fits])
+    best = evidence.argmax(axis=0), np.arange(evidence.shape[1])
+    scale = np.array([fit.scale for fit in fits])[best]
+    textured = np.array([fit.depth for fit in fits])[best] > _TEXTURED
+    votes = textured & (scale > _NARROWEST) & (scale < _WIDEST * largest)
+    disc, count = Disc(max_radius), int(votes.sum())
+    if count < max(_LEAST_WINDOWS, _LEAST_SHARE * textured.sum()):
+        return PSFChoice(disc, found=False, margin=0.0, windows=count)
+    voting = evidence[:, votes]
+    height = -np.minimum(voting.max(axis=0) - voting, LARGEST_LOSS).mean(axis=1)
+    other = 1 + int(height[1:].argmax())
+    margin = float(height[other] - height[0])
+    if margin > _LIMIT:
+        chosen = replace(_OTHERS[other - 1], max_radius=max_radius)
+        return PSFChoice(chosen, found=True, margin=margin, windows=count)
+    return PSFChoice(disc, found=-margin > _LIMIT, margin=-margin, windows=count)
+
+
+def _stride(picture: PreparedImage, window: int, count: int) -> int:
+    area = picture.shape[0] * picture.shape[1]
+    return max(window // _CLOSEST, round(math.sqrt(count * area / _MOST_WINDOWS)))
