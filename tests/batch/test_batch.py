@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import PIL.Image
@@ -122,6 +123,24 @@ def test_stack_is_one_store_with_its_scale_and_a_row_a_plane(stack, tmp_path):
     assert held.attributes["settings"]["stride"] == 8
     second = napari_defocus.estimate_blur_map(tifffile.imread(stack)[1], stride=8)
     np.testing.assert_array_equal(held.levels[0][1].compute(), second)
+
+
+def test_planes_of_a_stack_share_the_lens_that_they_show(tmp_path, grass):
+    sharp, radii = grass[:120, :120], np.full((120, 120), 4.0)
+    ring = napari_defocus.simulate_defocus(
+        sharp, radii, psf=napari_defocus.Annulus(0.5), noise_variance=1e-6, rng=0
+    )
+    planes = np.rint(60000 * np.stack([ring, sharp, ring[::-1]]).clip(0, 1)).astype(np.uint16)
+    path = tmp_path / "worm.tif"
+    tifffile.imwrite(path, planes, imagej=True, metadata={"axes": "ZYX"})
+    settings = replace(QUICK, map=replace(QUICK.map, psf="auto"))
+    report = measure_batch(path, tmp_path / "out", settings=settings, file_format="tiff")
+    assert report.failed == 0
+    found = tifffile.imread(tmp_path / "out" / rows_of(report)[0]["map"])
+    lens = napari_defocus.Annulus(0.5)
+    for plane, blur_map in zip(planes, found, strict=True):
+        expected = napari_defocus.estimate_blur_map(plane, psf=lens, stride=8)
+        np.testing.assert_array_equal(blur_map, expected)
 
 
 def test_stack_can_be_a_tiff(stack, tmp_path):

@@ -20,6 +20,7 @@ import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
 from napari_defocus.cli.app import app
 from napari_defocus.core.intensity import Intensities
+from napari_defocus.io.encoders import settings_in_tiff
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 
 SAMPLE = files("napari_defocus") / "samples" / "dandelion.jpg"
@@ -44,6 +45,7 @@ def instant(monkeypatch):
         calls["candidates"] = options
         noise = options["noise_variance"]
         return SimpleNamespace(
+            psf_choice=None,
             image_shape=image.shape[:2],
             noise_variance=1e-4,
             psf=options["psf"],
@@ -458,6 +460,18 @@ def test_compare_psf_puts_the_right_lens_first(seen_through_a_mirror_lens, tmp_p
     assert facts["best"] == facts["families"][0]["psf"] == "annulus:0.5"
     assert facts["families"][0]["median_px"] == pytest.approx(5, abs=0.2)
     assert sum(row["best_in_percent"] for row in facts["families"]) == pytest.approx(100)
+
+
+def test_lens_may_be_found_from_the_picture_and_is_told(seen_through_a_mirror_lens):
+    result = run("map", seen_through_a_mirror_lens, "--psf", "auto")
+    assert result.exit_code == 0, result.output
+    assert "lens         annulus:0.5 (found from the picture)" in result.stdout
+    path = seen_through_a_mirror_lens.with_name(f"{seen_through_a_mirror_lens.stem}-blur.tif")
+    assert settings_in_tiff(path)["psf"] == "annulus:0.5"
+    assert float(np.median(tifffile.imread(path))) == pytest.approx(5, abs=0.3)
+    facts = json.loads(run("segment", seen_through_a_mirror_lens, "--psf", "auto", "--json").stdout)
+    assert facts["psf"] == "annulus:0.5"
+    assert facts["psf_choice"]["found"]
 
 
 def test_compare_psf_has_a_list_of_its_own(seen_through_a_mirror_lens):

@@ -55,6 +55,7 @@ def instant(monkeypatch):
     def estimate_candidates(image, **options):
         calls["candidates"] = options
         return SimpleNamespace(
+            psf_choice=None,
             image_shape=image.shape[:2],
             noise_variance=1e-4,
             psf=options["psf"],

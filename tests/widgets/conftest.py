@@ -176,6 +176,7 @@ class StandIn:
         self.estimations.append({"image": image, **arguments})
         progress("Estimating blur", 0.5)
         return SimpleNamespace(
+            psf_choice=None,
             image_shape=image.shape[:2],
             noise_variance=self.noise_variance,
             shot_noise=None,

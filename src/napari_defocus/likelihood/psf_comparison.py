@@ -118,7 +118,8 @@ def compare_psf(
         v_i = s \, \sigma_i^2(r) + \sigma_{ni}^2
 
     It counts up to a limit, so that the few windows that no family explains do not decide.
-    Differences of families are visible from about 2 px of blur on, in texture with little noise.
+    Differences of families are visible from about 2 px of blur on, in texture with little noise;
+    those of rings whose obstructions are 0.1 apart hardly.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ def form(qapp):
     ("text", "told"),
     [
         ("disc", "disc"),
+        ("auto", "auto"),
         ("polygon:5:-30", "polygon:5:-30"),
         ("polygon:7", "polygon:7:0"),
         ("annulus:0.35", "annulus:0.35"),

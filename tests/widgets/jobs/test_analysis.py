@@ -12,12 +12,16 @@ from napari_defocus import (
     segment_in_focus,
     simulate_defocus,
 )
+from napari_defocus.core.progress import silent
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.labeling.problem import with_problem
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
+from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.jobs import estimation
 from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
-from napari_defocus.widgets.jobs.estimation import JobCache
+from napari_defocus.widgets.jobs.estimation import JobCache, Picture
+from napari_defocus.widgets.jobs.map_source import source_of_layer
+from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
@@ -127,11 +131,41 @@ def test_comparison_has_the_lens_of_the_form_too_and_the_right_one_first(viewer,
     radius = np.full(gravel.shape, 5.0)
     seen = simulate_defocus(gravel, radius, psf=Annulus(0.5), noise_variance=1e-6, rng=0)
     plane = shown_plane(viewer.add_image(seen.astype(np.float32)), viewer.dims)
-    settings = MapSettings(psf="annulus:0.6")
+    settings = MapSettings(psf="annulus:0.7")
     rows = Comparison(plane=plane, estimation=settings).run()
-    assert {text for text, _ in rows} == {*COMPARED_PSFS, "annulus:0.6"}
+    assert {text for text, _ in rows} == {*COMPARED_PSFS, "annulus:0.7"}
     assert rows[0][0] == "annulus:0.5"
     assert rows[0][1].median_scale == pytest.approx(5, abs=0.2)
+
+
+def test_lens_that_the_picture_shows_is_that_of_its_layers(viewer, gravel):
+    radius = np.full(gravel.shape, 5.0)
+    seen = simulate_defocus(gravel, radius, psf=Annulus(0.5), noise_variance=1e-6, rng=0)
+    image, cache = viewer.add_image(seen.astype(np.float32), name="ring"), JobCache()
+    wanted = analysis(viewer, image, psf="auto", threshold=2.0)
+    layers = wanted.run(cache)
+    for _, keywords, _ in layers:
+        made = keywords["metadata"][METADATA_KEY]
+        assert made["settings"]["psf"] == "annulus:0.5"
+        assert made["lens"] == "Lens: annulus:0.5, found from the picture"
+    assert wanted.fits(cache.analysed.latest(image)), "sliders do not estimate again"
+    blur_map = add_results(viewer, layers)[0]
+    source = source_of_layer(blur_map, wanted.plane, viewer, "disc")
+    found = source.read(Picture.of(wanted.plane), cache, silent)
+    assert found.psf == Annulus(0.5)
+    assert found.safe is not None, "what is safe to take away is still known"
+
+
+def test_planes_of_a_stack_share_the_lens_that_they_show(viewer, gravel):
+    sharp, radius = gravel[:100, :100], np.full((100, 100), 4.0)
+    ring = simulate_defocus(sharp, radius, psf=Annulus(0.5), noise_variance=1e-6, rng=0)
+    stack = viewer.add_image(np.stack([ring, sharp, ring[::-1]]).astype(np.float32), name="worm")
+    wanted = StackAnalysis(
+        plane=shown_plane(stack, viewer.dims), estimation=MapSettings(psf="auto", stride=8)
+    )
+    found = wanted.run(JobCache())
+    assert found.summary.startswith("Lens: annulus:0.5, found from the picture\n3 planes")
+    assert found.layers[0][1]["metadata"][METADATA_KEY]["settings"]["psf"] == "annulus:0.5"
 
 
 def test_what_is_measured_does_not_depend_on_contrast_limits(viewer, method):
