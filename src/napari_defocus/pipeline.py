@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import napari_defocus
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
@@ -265,6 +266,8 @@ def read_map(
 
     from napari_defocus.io.encoders import check_unit, description_in_tiff
 
+    if settings.psf == AUTO:
+        raise ValueError("psf is 'auto', but map is given; it takes the lens that the map is of")
     scales = _read_values(path, shape, "a blur map: values in px, as map writes them (.tif)")
     if path.suffix.lower() in (".tif", ".tiff"):
         check_unit(description_in_tiff(path), path)

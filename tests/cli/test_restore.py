@@ -432,6 +432,12 @@ def test_map_may_go_beyond_the_largest_radius(folder, instant, psf, max_scale):
     assert instant["restore_all_in_focus"]["psf"].max_scale == max_scale
 
 
+def test_lens_of_a_map_that_is_given_is_not_found_from_the_picture(folder, instant):
+    save_map(folder / "blur.tif", np.full((HEIGHT, WIDTH), 2.0))
+    given = ["--map", folder / "blur.tif", "--psf", "auto"]
+    assert_fails_in_one_line(run("restore", folder / "p.png", *given), saying="psf is 'auto'")
+
+
 @pytest.mark.parametrize(
     "unit", ["standard deviation (px)", "outer radius (px)", "equal-area radius (px)"]
 )

@@ -30,8 +30,8 @@ _SPELLED: dict[str, tuple[Callable[..., _Written], tuple[Callable[[str], float],
 }
 
 PSF_TEXTS = (
-    "auto, disc, gaussian, generalized-gaussian:EXPONENT, polygon:BLADES[:ROTATION], "
-    "annulus:OBSTRUCTION, or the path of a saved .npz"
+    "disc, gaussian, generalized-gaussian:EXPONENT, polygon:BLADES[:ROTATION], "
+    "annulus:OBSTRUCTION, auto, or the path of a saved .npz"
 )
 """What `psf_from_text` takes, for help and errors."""
 

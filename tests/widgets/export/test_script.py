@@ -141,6 +141,7 @@ def all_cases(folder):
         "shape": (analysis(enclosed(color), {"threshold": 4.0}), None),
         "lens": (analysis(color, psf="polygon:6:12.5", max_radius=6.1), None),
         "gaussian": (analysis(color, {"threshold": 1.0}, psf="gaussian", mode="paper"), None),
+        "auto": (analysis(color, psf="auto"), None),
         "measured": (analysis(color, noise_variance=1e-4 / 3, smoothness=5.0, **lens), None),
         "sample": (analysis(added(whole, crop, sample), window=31, stride=6), None),
         "ramp": (analysis(added(simulated_ramp()[1][0], crop, ramp)), None),
@@ -164,7 +165,8 @@ def all_cases(folder):
 
 
 CASES = (
-    *("shape", "color", "limits", "cut", "seeds", "lens", "gaussian", "measured", "sample", "ramp"),
+    *("shape", "color", "limits", "cut", "seeds", "lens", "gaussian", "auto", "measured"),
+    *("sample", "ramp"),
     *("plane", "tricky", "refocusing", "unprotected", "distances"),
 )
 

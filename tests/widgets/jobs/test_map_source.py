@@ -167,6 +167,8 @@ def test_lens_that_cannot_be_is_refused_before_any_work(viewer, leaf):
         LayerSource(plane=plane_of(leaf, viewer), psf="none.npz")
     with pytest.raises(ValueError, match="no such file"):
         EstimatedSource(settings=MapSettings(psf="none.npz"))
+    with pytest.raises(ValueError, match="“leaf” does not say with which lens"):
+        LayerSource(plane=plane_of(leaf, viewer), psf="auto")
 
 
 def test_each_of_several_maps_has_its_own_confidence(viewer, leaf):

@@ -108,9 +108,9 @@ class Distances:
             )
         return depth
 
-    def _settings(self) -> dict[str, Any]:
+    def _settings(self, blur_map: BlurMap) -> dict[str, Any]:
         return {
-            "map": self.source.described(),
+            "map": self.source.described(blur_map.psf),
             "lens": asdict(self.lens),
             "side": self.side,
             "min_confidence": self.min_confidence,
@@ -119,7 +119,7 @@ class Distances:
     def _depth_layer(self, depth: Float32, blur_map: BlurMap) -> LayerDataTuple:
         facts = {"blur_map": blur_map.name, "unit": "m", "nan": _NAN, "infinity": _INFINITY}
         return result_layer(
-            *(self.plane, DEPTH, depth, self._settings(), facts),
+            *(self.plane, DEPTH, depth, self._settings(blur_map), facts),
             name="depth (m)",
             colormap=_colors(),
             contrast_limits=_limits(depth),
@@ -135,7 +135,7 @@ class Distances:
             "vertex_colors": colors,
             "shading": "none",
             "metadata": provenance(
-                *(self.plane, DEPTH_SURFACE, self._settings()),
+                *(self.plane, DEPTH_SURFACE, self._settings(blur_map)),
                 blur_map=blur_map.name,
                 height="a relief towards the camera, no scale model",
             ),

@@ -16,6 +16,7 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress
+from napari_defocus.psf import AUTO
 from napari_defocus.psf.parsing import psf_of
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.jobs.estimation import (
@@ -105,8 +106,8 @@ class MapSource(Protocol):
     def read(self, picture: Picture, cache: JobCache, progress: Progress) -> BlurMap:
         """Return the blur map of a picture."""
 
-    def described(self) -> dict[str, Any]:
-        """Return what metadata say about it."""
+    def described(self, psf: PSFFamily) -> dict[str, Any]:
+        """Return what metadata say about it; `psf` is that of the map that it gave."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,9 +135,9 @@ class EstimatedSource:
             layers=layers,
         )
 
-    def described(self) -> dict[str, Any]:
-        """Return what metadata say about it."""
-        return asdict(self.settings)
+    def described(self, psf: PSFFamily) -> dict[str, Any]:
+        """Return what metadata say about it; `psf` is that of the map that it gave."""
+        return asdict(self.settings.settled(psf))
 
 
 def layers_of_map(plane: Plane, settings: MapSettings, found: EstimatedMap) -> list[LayerDataTuple]:
@@ -179,6 +180,11 @@ class LayerSource:
     def __post_init__(self) -> None:
         """Refuse a lens that cannot be before any work is done with it."""
         psf_of(self.psf, self.max_radius)
+        if self.psf == AUTO:
+            raise ValueError(
+                f"“{self.plane.name}” does not say with which lens it was measured. Choose the "
+                "lens: only a map that is estimated finds it from the picture."
+            )
 
     def read(self, picture: Picture, cache: JobCache, progress: Progress) -> BlurMap:
         """Return the map that the layer holds now."""
@@ -210,8 +216,8 @@ class LayerSource:
         family = psf_of(self.psf, self.max_radius)
         return family if largest <= family.max_scale else psf_from_text(self.psf, largest)
 
-    def described(self) -> dict[str, Any]:
-        """Return what metadata say about it."""
+    def described(self, psf: PSFFamily) -> dict[str, Any]:
+        """Return what metadata say about it; `psf` is that of the map that it gave."""
         return {"psf": self.psf, "blur_map": self.plane.name}
 
 

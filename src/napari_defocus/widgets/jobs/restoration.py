@@ -179,7 +179,11 @@ def _picture_layer(
     """Return a picture in [0, 1] as an image layer that lies on the plane."""
     restoration = {"linearize": wanted.linearize, "protect": wanted.protect}
     restoration = asdict(wanted.settings) | restoration
-    settings = {"map": wanted.source.described(), "restoration": restoration, **settings}
+    settings = {
+        "map": wanted.source.described(made.blur_map.psf),
+        "restoration": restoration,
+        **settings,
+    }
     facts = {
         "noise_variance": made.noise_variance,
         "intensities": made.picture.intensities.facts(),
