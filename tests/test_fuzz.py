@@ -17,7 +17,8 @@ SLOW = {"calibrate_psf", "restore_all_in_focus", "fit_report"}
 WITHOUT_A_RECIPE = {
     # What functions return: never made by users.
     *("BatchReport", "BlurCandidates", "DepthSurface", "FitReport", "FocusCurve", "PSFComparison"),
-    *("PSFEvidence", "PixelExplanation", "RegionTable", "SharpestPlane"),
+    *("PSFChoice", "PSFEvidence", "PixelExplanation", "RegionTable", "SharpestPlane"),
+    "AutomaticPSF",  # it has no kernels
     # A protocol, exceptions, and a function whose files are fuzzed through the terminal.
     *("PSFFamily", "Cancelled", "UnreadablePicture", "read_picture"),
 }

@@ -2,6 +2,7 @@
 
 import gc
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -86,6 +87,16 @@ def in_memory(picture):
         plane=shown_plane(layer, viewer.dims), estimation=SETTINGS, mask=MaskSettings()
     )
     return [data for data, _, _ in analysis.run(JobCache())]
+
+
+def test_lens_is_found_from_the_picture_and_told(viewer, picture, tmp_path):
+    layer = viewer.add_image(da.from_array(picture, chunks=100), name="slide")
+    auto = replace(SETTINGS, psf="auto")
+    found = wanted(layer, viewer, place=Place(tmp_path), estimation=auto).run(JobCache())
+    assert found.summary.startswith("Lens: disc")
+    for _, keywords, _ in found.layers:
+        assert keywords["metadata"][METADATA_KEY]["settings"]["psf"] == "disc"
+    assert len(stores_in(tmp_path)) == 3
 
 
 def test_results_are_lazy_lie_on_the_picture_and_are_those_of_the_whole(
