@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from napari_defocus import Disc, estimate_candidates, label_blur_map, simulate_defocus
 from napari_defocus.labeling import confidence
-from napari_defocus.labeling.data_term import averaged_curve
+from napari_defocus.likelihood.evidence import averaged_curve
 
 DOMAIN, BEYOND = 8.0, 12.0
 

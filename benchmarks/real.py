@@ -3,7 +3,7 @@
     python benchmarks/real.py --real ../shared/data/real
 
 Prints tables in Markdown. Phones: photographs with radii that were measured from a sharp picture of
-the scene, binned 3 x 3 (1 to 6.6 px). Mitochondria: fluorescence at known distances from focus.
+the scene, binned 3 x 3 (1 to 6.6 px) and at full size (5 to 20 px). Mitochondria: fluorescence at known distances from focus.
 Nuclei: drawn as a camera with an offset and photon noise sees them. Plain shapes: diamonds with
 nothing inside, through a perfect and a soft camera. Walls: a house at high ISO.
 """
@@ -37,8 +37,8 @@ Measure = Callable[[np.ndarray], Measured]
 RADII = (0.7, 1, 1.5, 2, 3, 4, 5, 6)
 """px, of plain shapes."""
 
-TOLERANCE = 0.5
-"""px: what counts as right."""
+TOLERANCE, RELATIVE_TOLERANCE = 0.5, 0.1
+"""What counts as right: within 0.5 px, and beyond 5 px within a tenth."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,14 @@ class Points:
 
     @property
     def right(self) -> np.ndarray:
-        """Whether each is right to half a pixel."""
-        return np.abs(self.found - self.truth) <= TOLERANCE
+        """Whether each is right to half a pixel, or to a tenth."""
+        tolerance = np.maximum(TOLERANCE, RELATIVE_TOLERANCE * self.truth)
+        return np.abs(self.found - self.truth) <= tolerance
+
+    @property
+    def rank(self) -> float:
+        """Rank correlation of what was found with what is true."""
+        return float(spearmanr(self.found, self.truth)[0])
 
     def right_above(self, confidence: float) -> tuple[float, float]:
         """Return the share that is right where more confidence is stated, and how much that is."""
@@ -208,6 +214,18 @@ def report(real: Path, measure: Measure) -> None:
             flush=True,
         )
     print(f"\nphones, binned: mean error {np.mean([p.error for p in photographs]):.3f} px")
+    print("| scene at full size | error, px | rank | stated | right |\n|---|---|---|---|---|")
+    large = list(phones(real, measure, by=1))
+    for points in large:
+        print(
+            f"| {points.scene} | {points.error:.2f} | {points.rank:+.2f} | "
+            f"{points.confidence.mean():.2f} | {points.right.mean():.2f} |",
+            flush=True,
+        )
+    print(
+        f"\nphones, full size: mean error {np.mean([p.error for p in large]):.3f} px, "
+        f"rank correlation {np.mean([p.rank for p in large]):.2f}"
+    )
     correlation, rows = mitochondria(real, measure)
     print(f"mitochondria: rank correlation {correlation:+.2f}")
     print("; ".join(f"{z:+.1f} um {radius:.2f} px ({sure:.2f})" for z, radius, sure in rows))

@@ -6,7 +6,8 @@ import pytest
 from napari_defocus import estimate_blur_map, estimate_candidates, label_blur_map, segment_in_focus
 from napari_defocus.core.image import prepare_image
 from napari_defocus.forward.occlusion import simulate_layered_defocus
-from napari_defocus.labeling.data_term import evidence_share, on_own_side
+from napari_defocus.likelihood.evidence import evidence_share
+from napari_defocus.likelihood.own_side import on_own_side
 
 
 @pytest.fixture(scope="module")

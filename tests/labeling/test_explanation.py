@@ -14,7 +14,8 @@ from napari_defocus import (
     label_blur_map,
 )
 from napari_defocus.core.image import prepare_image
-from napari_defocus.labeling.data_term import evidence_share, on_own_side
+from napari_defocus.likelihood.evidence import evidence_share
+from napari_defocus.likelihood.own_side import on_own_side
 
 RADIUS = 4.0
 

@@ -15,7 +15,7 @@ from napari_defocus.core.checks import check_weights
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.confidence import checked_map
 from napari_defocus.labeling.continuous_refinement import refine_labels
-from napari_defocus.labeling.data_term import EXTRAPOLATED, evidence_share
+from napari_defocus.labeling.data_term import EXTRAPOLATED
 from napari_defocus.labeling.graph_cuts import (
     expand_until_settled,
     minimize_energy,
@@ -28,11 +28,12 @@ from napari_defocus.labeling.pixel_refinement import (
     label_pixels,
 )
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
-from napari_defocus.likelihood.blur_spectra import LABEL_STEP
+from napari_defocus.likelihood.blur_spectra import LABEL_STEP, nearest_labels
 from napari_defocus.likelihood.candidates import (
     BlurCandidates,
     check_candidates,
 )
+from napari_defocus.likelihood.evidence import evidence_share
 from napari_defocus.settings import MapSettings
 
 Float32 = NDArray[np.float32]
@@ -95,7 +96,8 @@ def labeled_blur_map(
         reach=REACH,
         progress=within(progress, 0.7, 0.9),
     )
-    scales = np.float32(LABEL_STEP) * labels
+    axis = candidates.scales.astype(np.float32)
+    scales = axis[labels]
     if candidates.mode == "curve":
         pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
         likeness = weights / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
@@ -104,7 +106,7 @@ def labeled_blur_map(
             candidates, labels, likeness, JUMP, smoothness, own, within(progress, 0.9, 1.0)
         )
     progress("Smoothing out the steps", 1.0)
-    return interpolate_labels(scales, labels, pixels, blocks, JUMP)
+    return interpolate_labels(scales, labels, pixels, blocks, JUMP, axis)
 
 
 def _problem_of_blocks(
@@ -147,8 +149,8 @@ def preview_of_blur_map(
     blocks = problem.blocks
     _, cost, weights = _problem_of_blocks(problem, settings)
     labels = minimize_energy(cost, weights, within(progress, 0.0, 1.0, "Preview"), coarse=True)
-    scales = np.float32(LABEL_STEP) * labels
-    return interpolate_labels(scales, labels, blocks.spread(labels), blocks, JUMP)
+    axis = problem.own.scales.astype(np.float32)
+    return interpolate_labels(axis[labels], labels, blocks.spread(labels), blocks, JUMP, axis)
 
 
 def labeling_energy(
@@ -169,7 +171,7 @@ def labeling_energy(
     Parameters
     ----------
     blur_map : (H, W) array_like
-        Blur scale in px at every pixel; rounded to labels 0.1 px apart.
+        Blur scale in px at every pixel; rounded to the labels, 0.1 px apart up to 8 px.
     candidates, image, smoothness, color_sigma, intensity_range
         As in `label_blur_map`.
 
@@ -203,15 +205,14 @@ def labeling_energy(
     check_candidates(candidates)
     scales = checked_map(blur_map, candidates.image_shape)
     largest = float(candidates.scales[-1])
-    labels = np.rint(scales / LABEL_STEP)
-    if not ((labels >= 0) & (labels < len(candidates.scales))).all():
+    if not ((scales >= -LABEL_STEP / 2) & (scales <= largest + LABEL_STEP / 2)).all():
         raise ValueError(
             f"blur_map holds {scales.min():g} to {scales.max():g}; it takes scales from 0 to "
             f"{largest:g} px, those of the candidates"
         )
     problem = LabelingProblem.of(candidates, image, intensity_range)
     return energy_of_pixels(
-        labels.astype(np.int32),
+        nearest_labels(candidates.scales, scales),
         problem.cost(CURVE_WEIGHT),
         problem.blocks,
         problem.color,

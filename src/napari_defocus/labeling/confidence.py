@@ -8,16 +8,18 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 
 from napari_defocus.core.image import given_array
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.labeling.data_term import averaged_curve, informed_share, log_prior
 from napari_defocus.labeling.problem import LabelingProblem
+from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.evidence import averaged_curve, informed_share
+from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.settings import RestorationSettings
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
-TOLERANCE = 0.5
-"""What counts as right, in px."""
+TOLERANCE, RELATIVE_TOLERANCE = 0.5, 0.1
+"""What counts as right: within 0.5 px, and beyond 5 px within a tenth of the radius."""
 
 _JUMP_SIDE = 31
 """px, side of the square around a pixel in which jumps of the map lower its confidence."""
@@ -77,10 +79,11 @@ def _safe_at_windows(
     candidates: BlurCandidates, curve: Float32, radius: Float64, sure: Float64, risk: float
 ) -> Float64:
     """Return the smallest radius that the true one is below with a probability of at most risk."""
-    curve = curve + log_prior(candidates)
+    curve = curve + log_prior(candidates.scales)
     likelihood = np.exp(_TEMPER * (curve - curve.max(axis=2, keepdims=True)))
+    likelihood *= _spacing(candidates)
     away = candidates.scales - radius[..., None]
-    likelihood *= np.abs(away) > TOLERANCE + _ROUNDING
+    likelihood *= np.abs(away) > tolerance(radius)[..., None] + _ROUNDING
     likelihood *= ((1 - sure) / np.maximum(likelihood.sum(axis=2), _LEAST_ODDS))[..., None]
     below = np.cumsum(np.where(away < 0, likelihood, 0), axis=2)
     reached = below >= risk
@@ -106,21 +109,33 @@ def likelihood_share(
     Returns
     -------
     share : ndarray
-        Of the likelihood within `TOLERANCE` of `radius`.
+        Of the likelihood within the `tolerance` of `radius`.
     prior : ndarray
         Of the scales.
     depth : ndarray
         Of the averaged curve, from its top to its bottom, at most 15.
     """
     depth = np.ptp(curve, axis=2)
-    likelihood = curve + log_prior(candidates)
+    likelihood = curve + log_prior(candidates.scales)
     likelihood -= likelihood.max(axis=2, keepdims=True)
     likelihood *= np.float32(_TEMPER)
     np.exp(likelihood, out=likelihood)
+    spacing = _spacing(candidates)
+    likelihood *= spacing
     away = candidates.scales.astype(np.float32) - radius[..., None]
-    agrees = np.abs(away, out=away) <= TOLERANCE + _ROUNDING
+    agrees = np.abs(away, out=away) <= tolerance(radius)[..., None] + _ROUNDING
     share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
-    return share, agrees.mean(axis=2), depth
+    return share, np.sum(agrees * spacing, axis=2) / spacing.sum(), depth
+
+
+def tolerance(radius: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return how far, in px, a radius may be off and counts as right."""
+    return np.maximum(TOLERANCE, RELATIVE_TOLERANCE * radius)
+
+
+def _spacing(candidates: BlurCandidates) -> Float32:
+    """Return how many labels' worth of scales each label stands for: (L,)."""
+    return (np.gradient(candidates.scales) / LABEL_STEP).astype(np.float32)
 
 
 def checked_map(blur_map: ArrayLike, shape: tuple[int, int]) -> Float64:

@@ -107,7 +107,7 @@ def refine_labels(
         In px.
     """
     elsewhere = candidates.displacement() > candidates.stride
-    return refine_curves(
+    place = refine_curves(
         candidates.curve,
         labels,
         weights,
@@ -118,6 +118,10 @@ def refine_labels(
         own=own,
         progress=progress,
     )
+    if candidates.weight is None:
+        return place
+    axis = candidates.scales
+    return np.interp(place, LABEL_STEP * np.arange(len(axis)), axis).astype(np.float32)
 
 
 def refine_curves(

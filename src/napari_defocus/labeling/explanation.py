@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.checks import check_flag, check_real
 from napari_defocus.core.image import PreparedImage, given_array, given_image, prepare_image
-from napari_defocus.labeling.confidence import TOLERANCE
-from napari_defocus.labeling.data_term import EXTRAPOLATED, asked_windows, evidence_share
-from napari_defocus.likelihood.blur_spectra import LABEL_STEP
+from napari_defocus.labeling.confidence import tolerance
+from napari_defocus.labeling.data_term import EXTRAPOLATED
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates, check_place
+from napari_defocus.likelihood.evidence import evidence_share
+from napari_defocus.likelihood.own_side import asked_windows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -141,7 +142,7 @@ class PixelExplanation:
             return
         for radius, height in zip(self.radii[1:], self.heights[1:], strict=True):
             below = self.heights[0] - height
-            if below < _NEARLY and abs(radius - self.radii[0]) > TOLERANCE:
+            if below < _NEARLY and abs(radius - self.radii[0]) > _tolerance(radius):
                 yield (
                     f"{_px(radius)} px is nearly as likely as {_px(self.radii[0])} px: "
                     f"{math.exp(-below):.2f} times."
@@ -151,9 +152,9 @@ class PixelExplanation:
         if self.blur is None:
             return
         best = self.best
-        if best is not None and not self.extrapolated and abs(self.blur - best) > TOLERANCE:
+        if best is not None and not self.extrapolated and abs(self.blur - best) > _tolerance(best):
             yield f"The map departs from the likeliest, {_px(best)} px, because of its neighbours."
-        if self.blur > self.scales[-1] - LABEL_STEP:
+        if self.blur > self.scales[-2]:
             yield f"{_px(self.scales[-1])} px is the most that was looked for: it may be more."
 
 
@@ -292,7 +293,7 @@ def draw_explanation(
         axes.plot(*dots, "o", color=_CURVE_COLOR, ms=6, clip_on=False, zorder=3, label="candidates")
     if told.blur is not None:
         axes.axvline(told.blur, color=_MAP_COLOR, lw=1.6, label="map")
-        band = told.blur - TOLERANCE, told.blur + TOLERANCE
+        band = told.blur - _tolerance(told.blur), told.blur + _tolerance(told.blur)
         axes.axvspan(*band, color=_MAP_COLOR, alpha=0.2, lw=0)
     axes.set(
         xlim=(0, told.scales[-1]),
@@ -309,6 +310,10 @@ def _title(told: PixelExplanation) -> str:
     value = "" if told.blur is None else f": {_px(told.blur)} px"
     sure = "" if told.confidence is None else f", confidence {told.confidence:.2f}"
     return f"row {told.row:.0f}, column {told.column:.0f}{value}{sure}"
+
+
+def _tolerance(scale: float) -> float:
+    return float(tolerance(np.array(scale)))
 
 
 def _px(scale: Any) -> str:
@@ -374,6 +379,7 @@ def _around(
     around = replace(
         candidates,
         curve=candidates.curve[rows, columns],
+        weight=None,
         row_centers=candidates.row_centers[rows],
         column_centers=candidates.column_centers[columns],
     )

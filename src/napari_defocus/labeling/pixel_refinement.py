@@ -185,7 +185,12 @@ def _interpolated(cost: Float32, label: int, y: float, x: float) -> float:
 
 
 def interpolate_labels(
-    scales: Float64, labels: Labels, pixels: Labels, blocks: Blocks, jump: int
+    scales: Float64,
+    labels: Labels,
+    pixels: Labels,
+    blocks: Blocks,
+    jump: int,
+    axis: Float32 | None = None,
 ) -> Float32:
     """Interpolate the scales of blocks, at each pixel among those that its own label belongs to.
 
@@ -200,6 +205,8 @@ def interpolate_labels(
     blocks : Blocks
     jump : int
         Labels that differ by less belong together.
+    axis : (L,) float32 ndarray, optional
+        Scale of each label, in px; 0.1 px times the label by default.
 
     Returns
     -------
@@ -207,7 +214,8 @@ def interpolate_labels(
         In px.
     """
     scales = np.asarray(scales, np.float64)
-    result = np.float32(LABEL_STEP) * pixels.astype(np.float32)
+    step = np.float32(LABEL_STEP)
+    result = step * pixels.astype(np.float32) if axis is None else axis[pixels]
     places = blocks.positions
     in_bands(_interpolate_rows, len(pixels), scales, labels, pixels, *places, jump, result)
     return result

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.labeling.data_term import data_term, on_own_side
+from napari_defocus.labeling.data_term import data_term
 from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
+from napari_defocus.likelihood.own_side import on_own_side
 
 Float32 = NDArray[np.float32]
 Result = TypeVar("Result")

@@ -80,7 +80,13 @@ def label_scales(psf: PSFFamily) -> Float64:
     return LABEL_STEP * np.arange(int(psf.max_scale / LABEL_STEP + 1e-6) + 1)
 
 
-@lru_cache(maxsize=8)
+def nearest_labels(axis: Float64, scales: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Return the index of the nearest of increasing scales, for any array of scales in px."""
+    between = (axis[1:] + axis[:-1]) / 2
+    return np.searchsorted(between, scales).astype(np.int32)
+
+
+@lru_cache(maxsize=32)
 def spectrum_table(
     psf: PSFFamily,
     window: int,

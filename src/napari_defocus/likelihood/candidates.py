@@ -48,12 +48,14 @@ class BlurCandidates:
     curve : (R, C, L) float32 ndarray
         log p(r) at `scales`.
     scales : (L,) float64 ndarray
-        0, 0.1, ... px over the domain of the PSF family.
+        0, 0.1, ... px over the domain of the PSF family; beyond 8 px (of windows of 41 px), twice
+        as far apart in each octave.
     row_centers, column_centers : (R,) and (C,) float64 ndarray
         Where the windows stand, in px; may be half-way between pixels.
     image_shape : (int, int)
         Height and width of the picture, in px.
     psf : PSFFamily
+        Its domain is what was looked at: small pictures do not tell large radii.
     noise_variance : float
         Of the luminance, intensities in [0, 1]; given or found; the mean over the picture if
         it grows with the intensity.
@@ -68,6 +70,9 @@ class BlurCandidates:
         them from here, unless it is given others. None of candidates made by hand.
     psf_choice : PSFChoice or None
         How `psf` was chosen, if the picture was to choose it.
+    weight : (R, C) float32 ndarray or None
+        How much each window counts, from 0 to 1: less where levels of wide windows speak, which
+        many places share. None of pictures that have one level only.
     """
 
     radii: Float32
@@ -85,6 +90,7 @@ class BlurCandidates:
     shot_noise: ShotNoise | None = None
     intensities: Intensities | None = None
     psf_choice: PSFChoice | None = None
+    weight: Float32 | None = None
 
     def places_of_window(self) -> NDArray[np.int64]:
         """Return how many places share the window of each: (R, C), above 1 along the border."""

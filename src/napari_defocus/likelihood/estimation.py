@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,19 +20,28 @@ from napari_defocus.core.checks import (
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.intensity import Intensities, IntensityRange
 from napari_defocus.core.progress import Progress, silent
+from napari_defocus.core.progress import within as within_share
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
-from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
+from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, spectrum_table
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.likelihood.exact_spectra import check_windows
+from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
-from napari_defocus.likelihood.maxima import CANDIDATES, local_maxima
+from napari_defocus.likelihood.maxima import CANDIDATES, joined_maxima, largest_point, local_maxima
 from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
 from napari_defocus.likelihood.reference import fixed_point_maxima
+from napari_defocus.likelihood.scale_space import (
+    Level,
+    halved,
+    joined,
+    joined_scales,
+    level_count,
+)
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
-from napari_defocus.psf.families import PSFFamily
+from napari_defocus.psf.domain import limited, seen_with_pixels
+from napari_defocus.psf.families import PSFFamily, as_family
 from napari_defocus.settings import MapSettings
 
 Float32 = NDArray[np.float32]
@@ -65,6 +74,9 @@ class Estimation:
     camera_softness : float
         Standard deviation, in px, of the blur that the camera has of its own; not in the mode
         "paper".
+    levels : int or None
+        Of averaged pixels, see `scale_space`; None takes as many as the picture has. The mode
+        "paper" and the search "fixed-point" know one.
     """
 
     psf: PSFFamily
@@ -76,10 +88,12 @@ class Estimation:
     linearize: Linearize | None = MapSettings.linearize
     intensity_range: IntensityRange | None = None
     camera_softness: float = MapSettings.camera_softness
+    levels: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse impossible values before any work is done with them."""
-        object.__setattr__(self, "psf", check_windows(self.psf, self.window))
+        object.__setattr__(self, "psf", as_family(self.psf))
+        check_side(self.window)
         check_mode(self.mode)
         check_stride(self.stride, self.window)
         check_linearize(self.linearize)
@@ -88,6 +102,22 @@ class Estimation:
             raise ValueError(f"spectra is {self.spectra!r}; it takes one of {get_args(Spectra)}")
         if self.search is not None:
             check_search(self.search)
+
+    def for_shape(self, shape: tuple[int, int]) -> Estimation:
+        """Return the same for a picture of a height and width: its levels, and their domain."""
+        if self.levels is not None:
+            return self
+        count = 1
+        if self.mode != "paper" and self.search != "fixed-point":
+            count = level_count(shape, self.window, self.psf.max_scale)
+        domain = domain_of_window(self.window) * 2 ** (count - 1)
+        return replace(self, psf=limited(self.psf, domain), levels=count)
+
+    def of_level(self, level: int) -> Estimation:
+        """Return how one level is estimated: its own PSF, in its own px."""
+        psf = seen_with_pixels(self.psf, 2**level, domain_of_window(self.window))
+        search = self.search if level == 0 else None
+        return replace(self, psf=psf, levels=1, search=search)
 
     def prepared(self, image: ArrayLike, intensities: Intensities | None = None) -> PreparedImage:
         """Return a picture as spectra see it; of a tile, with the intensities of its plane."""
@@ -115,18 +145,72 @@ def candidates_of(
     noise_variance: float,
     shot_noise: ShotNoise | None = None,
     progress: Progress = silent,
+    within: tuple[slice, slice] | None = None,
 ) -> BlurCandidates:
-    """Return the candidates of a prepared picture: Gabor powers, likelihood curves, their maxima.
+    """Return the candidates of a prepared picture: those of its levels, joined.
 
-    `noise_variance` is the mean over the whole picture if there is `shot_noise`.
+    `noise_variance` is the mean over the whole picture if there is `shot_noise`. Candidates are
+    those of the part of the picture that `within` says; coarse levels see the rest, too.
     """
+    how = how.for_shape(picture.shape)
+    part = picture if within is None else _cut(picture, within)
+    if how.levels == 1:
+        return _of_one_level(part, how.of_level(0), noise_variance, shot_noise, progress)
+    shares = np.cumsum([0, *(4.0**-level for level in range(how.levels or 1))])
+    levels: list[Level] = []
+    for level in range(how.levels or 1):
+        report = within_share(progress, *shares[level : level + 2] / shares[-1])
+        less = 4.0**-level
+        shot = shot_noise and replace(
+            shot_noise,
+            read_variance=less * shot_noise.read_variance,
+            gain=less * shot_noise.gain,
+        )
+        seen = part if level == 0 else picture
+        found = _of_one_level(seen, how.of_level(level), less * noise_variance, shot, report)
+        levels.append(Level(seen, found, 2**level))
+        if level + 1 < (how.levels or 1):
+            picture = halved(picture)
+    finest = levels[0].candidates
+    scales = joined_scales(how.psf.max_scale, how.window, len(levels))
+    start = (0, 0) if within is None else (within[0].start, within[1].start)
+    curve, weight = joined(levels, scales, start)
+    joint = replace(finest, curve=curve, scales=scales, psf=how.psf, weight=weight)
+    if how.search is None:
+        return joint
+    flat = curve.reshape(-1, len(scales))
+    radii, heights = joined_maxima(
+        flat,
+        scales,
+        largest_point(_table(part.shape, how.of_level(0)), finest.scales),
+        finest.radii.reshape(len(flat), CANDIDATES),
+    )
+    shape = finest.radii.shape
+    return replace(joint, radii=radii.reshape(shape), log_likelihoods=heights.reshape(shape))
+
+
+def _cut(picture: PreparedImage, part: tuple[slice, slice]) -> PreparedImage:
+    """Return a part of a prepared picture, row by row in memory, as kernels expect it."""
+    color, luminance = (
+        np.ascontiguousarray(plane[part]) for plane in (picture.color, picture.luminance)
+    )
+    opaque = None if picture.opaque is None else np.ascontiguousarray(picture.opaque[part])
+    return PreparedImage(color, luminance, opaque, picture.intensities)
+
+
+def _of_one_level(
+    picture: PreparedImage,
+    how: Estimation,
+    noise_variance: float,
+    shot_noise: ShotNoise | None,
+    progress: Progress,
+) -> BlurCandidates:
+    """Return the candidates of one level: Gabor powers, likelihood curves, their maxima."""
     psf, window, stride, mode = how.psf, how.window, how.stride, how.mode
     gradient = gradients(picture.evened, picture.opaque, window)
     grid = AnalysisGrid.over(picture.shape, window, stride)
-    fractions = grid.rows[0] % 1, grid.columns[0] % 1
     plain = mode == "paper"
-    softness = 0.0 if plain else how.camera_softness
-    table = spectrum_table(psf, window, *fractions, how.spectra, not plain, softness)
+    table = _table(picture.shape, how)
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = None
     if shot_noise is not None:
@@ -186,6 +270,15 @@ def candidates_of(
         shot_noise,
         picture.intensities.above_noise(noise_variance),
     )
+
+
+def _table(shape: tuple[int, int], how: Estimation) -> SpectrumTable:
+    """Return the spectra for the windows of a picture of a height and width."""
+    grid = AnalysisGrid.over(shape, how.window, how.stride)
+    fractions = grid.rows[0] % 1, grid.columns[0] % 1
+    mixed = how.mode != "paper"
+    softness = how.camera_softness if mixed else 0.0
+    return spectrum_table(how.psf, how.window, *fractions, how.spectra, mixed, softness)
 
 
 def check_search(search: str) -> None:

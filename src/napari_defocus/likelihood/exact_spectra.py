@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import fft, fft2, fftfreq, next_fast_len
 
 from napari_defocus.likelihood.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
+from napari_defocus.psf.domain import limited
 from napari_defocus.psf.families import PSFFamily, as_family
 
 Float64 = NDArray[np.floating]
@@ -26,14 +27,31 @@ TABLE_STEP = 0.02
 def check_windows(psf: PSFFamily | Callable[[float], ArrayLike], window: int) -> PSFFamily:
     """Return the PSF family, after a check of it and of the windows' side in px."""
     family = as_family(psf)
-    if not isinstance(window, (int, np.integer)) or window % 2 == 0 or window < MIN_WINDOW:
-        raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
+    check_side(window)
     if 2 * family.max_scale > window:
         raise ValueError(
             f"psf has a largest scale of {family.max_scale} px; "
             f"a window of {window} px takes at most {window / 2} px"
         )
     return family
+
+
+def check_side(window: int) -> int:
+    """Return the side of windows, in px, after a check of it."""
+    if not isinstance(window, (int, np.integer)) or window % 2 == 0 or window < MIN_WINDOW:
+        raise ValueError(f"window is {window}; it takes an odd number of px from {MIN_WINDOW} up")
+    return int(window)
+
+
+def domain_of_window(window: int) -> float:
+    """Return the largest scale, in px, that windows can tell with ease: 8 px of 41."""
+    return 0.2 * (40 * window // 41)
+
+
+def within_window(psf: PSFFamily | Callable[[float], ArrayLike], window: int) -> PSFFamily:
+    """Return the PSF family with a domain that windows of a side in px can tell."""
+    domain = domain_of_window(check_side(window))
+    return limited(as_family(psf), domain)
 
 
 def log_blur_spectra(

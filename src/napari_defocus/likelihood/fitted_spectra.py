@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.likelihood.exact_spectra import TABLE_STEP, check_windows, log_blur_spectra
+from napari_defocus.likelihood.exact_spectra import TABLE_STEP, log_blur_spectra, within_window
 from napari_defocus.likelihood.gabor import frequencies
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import MapSettings
@@ -236,8 +236,7 @@ def fit_report(
     Raises
     ------
     TypeError, ValueError
-        If `psf` is no family, or `window` no odd number from 17 up of at least twice the
-        family's largest scale.
+        If `psf` is no family, or `window` no odd number from 17 up.
 
     Examples
     --------
@@ -245,7 +244,7 @@ def fit_report(
     >>> fit_report(Disc()).rms < 0.03
     True
     """
-    family = check_windows(psf, window)
+    family = within_window(psf, window)
     of_windows = (window, 0.0, 0.0)
     fit = fit_spectra(family, *of_windows)
     scales = np.arange(fit.start + TABLE_STEP, fit.stop, TABLE_STEP)

@@ -72,7 +72,7 @@ def local_maxima(
     radii, log_likelihoods : (P, 3) float32 ndarray
         Best first; NaN and -inf where there are fewer.
     """
-    pointlike = int(np.sum(is_pointlike(table.at(scales)))) - 1
+    pointlike = largest_point(table, scales)
     start = _pick_maxima(curve, scales.astype(np.float32), pointlike)
     radii, heights = refine_maxima(power, table, start, LABEL_STEP, noise_variance, dispersion)
     flat = np.ptp(curve, axis=1) < _FLAT
@@ -80,6 +80,49 @@ def local_maxima(
     radii[radii <= scales[pointlike] + INDISTINCT] = scales[pointlike] / 2
     order = np.argsort(-heights, axis=1)
     return np.take_along_axis(radii, order, 1), np.take_along_axis(heights, order, 1)
+
+
+def largest_point(table: SpectrumTable, scales: Float64) -> int:
+    """Return the index of the largest scale that cannot be told from a point."""
+    return int(np.sum(is_pointlike(table.at(scales)))) - 1
+
+
+def joined_maxima(
+    curve: Float32, scales: Float64, point: int, exact: Float32
+) -> tuple[Float32, Float32]:
+    """Find the best three local maxima of curves of several levels, by parabolas on their axis.
+
+    Parameters
+    ----------
+    curve : (P, L) float32 ndarray
+    scales : (L,) float64 ndarray
+        The axis, in px.
+    point : int
+        Index of the largest scale that cannot be told from a point; half of it stands for these.
+    exact : (P, 3) float32 ndarray
+        Maxima of level 0, in the continuous domain: taken where one is within 0.1 px.
+
+    Returns
+    -------
+    radii, log_likelihoods : (P, 3) float32 ndarray
+        Best first; NaN and -inf where there are fewer.
+    """
+    picked = _pick_maxima(curve, scales.astype(np.float32), point)
+    picked[np.ptp(curve, axis=1) < _FLAT] = np.nan
+    present = np.isfinite(picked)
+    index = np.searchsorted(scales, np.where(present, picked, 0) - LABEL_STEP / 2).astype(int)
+    heights = np.where(present, np.take_along_axis(curve, index, 1), np.float32(-np.inf))
+    middle = np.clip(index, 1, len(scales) - 2)
+    x0, x1, x2 = (scales[middle + step] for step in (-1, 0, 1))
+    y0, y1, y2 = (np.take_along_axis(curve, middle + step, 1) for step in (-1, 0, 1))
+    rise, fall = (y1 - y0) / (x1 - x0), (y1 - y2) / (x2 - x1)
+    inside = (index == middle) & (rise >= 0) & (fall >= 0) & (rise + fall > 0)
+    vertex = (x0 + x1) / 2 + (x2 - x0) / 2 * rise / np.where(inside, rise + fall, 1)
+    radii = np.where(inside, np.clip(vertex, x0, x2), scales[index])
+    radii = np.where(index == point, scales[point] / 2, radii)
+    for known in exact.T[:, :, None]:
+        radii = np.where(np.abs(known - radii) <= LABEL_STEP, known, radii)
+    return np.where(present, radii, np.nan).astype(np.float32), heights.astype(np.float32)
 
 
 def _pick_maxima(curve: Float32, scales: Float32, first: int) -> Float32:

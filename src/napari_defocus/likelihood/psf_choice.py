@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from napari_defocus.core.image import PreparedImage
+from napari_defocus.likelihood.exact_spectra import domain_of_window
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.likelihood.window_evidence import (
     LARGEST_LOSS,
     Windows,
     family_fit,
 )
-from napari_defocus.psf import MAX_RADIUS
 from napari_defocus.psf.families import Annulus, Disc, Gaussian, PSFFamily
 from napari_defocus.psf.parsing import psf_text
 
@@ -102,7 +102,8 @@ def choose_psf(
     noise : float, ShotNoise or None
         As `estimate_candidates` takes it.
     max_radius : float
-        Largest blur radius of the chosen family, in px. Up to 8 px are looked at.
+        Largest blur radius of the chosen family, in px. Up to 8 px are looked at, with
+        windows of 41 px.
     window : int
         Side N of the analysis window, in px.
     camera_softness : float
@@ -112,7 +113,7 @@ def choose_psf(
         Windows.of(picture, noise, window, _stride(picture, window, len(pictures)))
         for picture in pictures
     ]
-    largest = min(max_radius, MAX_RADIUS)
+    largest = min(max_radius, domain_of_window(window))
     families = [replace(psf, max_radius=largest) for psf in (Disc(), *_OTHERS)]
     fits = [family_fit(samples, psf, camera_softness) for psf in families]
     evidence = np.array([fit.evidence for fit in fits])

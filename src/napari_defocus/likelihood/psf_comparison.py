@@ -12,7 +12,7 @@ from napari_defocus.core.checks import Linearize, check_noise_variance, check_so
 from napari_defocus.core.image import prepare_image
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.exact_spectra import check_windows
+from napari_defocus.likelihood.exact_spectra import within_window
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.likelihood.window_evidence import (
     LARGEST_LOSS,
@@ -163,7 +163,7 @@ def compare_psf(
         given = list(families)
     except TypeError:
         raise TypeError(f"families is {families!r}; it takes a list, such as [Disc()]") from None
-    checked = [check_windows(psf, window) for psf in given]
+    checked = [within_window(psf, window) for psf in given]
     if not checked:
         raise ValueError("families is empty; it takes at least one PSF family")
     if not isinstance(noise_variance, ShotNoise):

@@ -22,6 +22,7 @@ from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.blur_spectra import SpectrumTable
 from napari_defocus.likelihood.exact_spectra import FilterPower
 from napari_defocus.likelihood.gabor import gradients, local_power
+from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
 from napari_defocus.psf.families import Gaussian, PSFFamily
@@ -33,9 +34,6 @@ SOFTER = (0.7, 1.0, 1.4, 2.0)
 """px: standard deviations of what a scene may lack in fine details, beside the camera's own
 softness. Without any of them, discs on soft scenes are taken for Gaussians; with some of them only,
 for rings (docs/decisions.md)."""
-
-PRIOR_RATE = 0.25
-"""1 / px, of the prior exp(-0.25 r) of the blur radius: that of the maps."""
 
 LARGEST_LOSS = 10.0
 """Units of log-likelihood that a family loses in a window at most. Chosen by hand."""
@@ -151,7 +149,7 @@ def _fits(
     found = []
     for table in _tables(psf, windows.window, windows.fractions, softnesses):
         curve = profile_log_likelihood(windows.power, table, table.scales, windows.least_noise)
-        curve = curve - (PRIOR_RATE * table.scales).astype(np.float32)
+        curve = curve + log_prior(table.scales)
         top = curve.max(axis=1, keepdims=True, initial=-np.inf)
         evidence = top[:, 0] + np.log(np.exp(curve - top).mean(axis=1))
         found.append((evidence, table.scales[curve.argmax(axis=1)], np.ptp(curve, axis=1)))

@@ -1,8 +1,8 @@
 """Point spread functions: families indexed by one scale, measured ones, and their calibration."""
 
-MAX_RADIUS = 8.0
-"""Largest radius, in px, that is looked for unless another one is said: by default half of what
-windows of 41 px can tell with ease. Here, where it costs no import of SciPy."""
+MAX_RADIUS = 64.0
+"""Largest radius, in px, that is looked for unless another one is said; small pictures are searched
+up to less, see `napari_defocus.likelihood.scale_space`. Here, where it costs no import of SciPy."""
 
 AUTO = "auto"
 """The PSF family that a picture chooses, in text."""

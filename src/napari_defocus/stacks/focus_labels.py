@@ -27,11 +27,11 @@ from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
 from napari_defocus.labeling.continuous_refinement import refine_curves
-from napari_defocus.labeling.data_term import informed_share
 from napari_defocus.labeling.graph_cuts import Labels, Mask, Places, minimize_energy
 from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.labeling.pixel_refinement import ChangeAt, interpolate_labels, label_pixels
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
+from napari_defocus.likelihood.evidence import informed_share
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.blur_spectra import label_scales
 from napari_defocus.likelihood.estimation import Estimation, Search
 from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.psf_choice import PSFChoice
+from napari_defocus.likelihood.scale_space import joined_scales
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import RestorationSettings
@@ -77,6 +77,10 @@ class LazyCandidates:
     found_noise: Mapping[Index, Noise] = field(default_factory=dict, repr=False)
     psf_choice: PSFChoice | None = None
 
+    def __post_init__(self) -> None:
+        """Find the levels of a plane: its tiles have the same."""
+        object.__setattr__(self, "estimation", self.estimation.for_shape(self.planes.shape))
+
     @property
     def plane_shape(self) -> Index:
         """How many planes there are along each axis before the last two; () for one picture."""
@@ -95,7 +99,8 @@ class LazyCandidates:
     @property
     def scales(self) -> NDArray[np.floating]:
         """Those of the curves: (L,), in px."""
-        return label_scales(self.psf)
+        how = self.estimation
+        return joined_scales(self.psf.max_scale, how.window, how.levels or 1)
 
     @property
     def curve(self) -> Any:
@@ -166,7 +171,7 @@ class LazyCandidates:
             plane, radius, noise = self.planes.plane(index), radii[index], self.noise(index)
             graph = TileGraph("confidence", plane, radius, noise, self._made_with, risk)
             for tile, place in placed(tiles):
-                seen = pixels(plane, tile.pixels), pixels(radius, tile.pixels), tile
+                seen = pixels(plane, tile.seen), pixels(radius, tile.pixels), tile
                 graph.add(place, confidence_pass, *seen, noise, self._frugal, risk)
             return {name: graph.picked(name, tiles) for name in ("confidence", "cautious")}
 
@@ -176,7 +181,8 @@ class LazyCandidates:
     @property
     def _tiling(self) -> Tiling:
         how = self.estimation
-        return Tiling(self.image_shape, how.window, how.stride, self.block_size)
+        levels = how.levels or 1
+        return Tiling(self.image_shape, how.window, how.stride, self.block_size, levels)
 
     @property
     def _frugal(self) -> Estimation:
@@ -206,7 +212,7 @@ class LazyCandidates:
         tiles = self._tiling.tiles()
         graph = TileGraph("measured", plane, noise, seeds, cells, self._made_with, wanted)
         for tile, place in placed(tiles):
-            seen = pixels(plane, tile.pixels), _seeds_of(seeds, tile), tile, self._tiling.levels
+            seen = pixels(plane, tile.seen), _seeds_of(seeds, tile), tile, self._tiling.levels
             graph.add(place, measure_tile, *seen, cells, noise, self._frugal, wanted)
         return {
             name: graph.blended(name, tiles)
@@ -226,7 +232,7 @@ class LazyCandidates:
             before = rows[-2] if number > 1 else None
             costs = []
             for column, tile in enumerate(line):
-                seen = pixels(plane, tile.pixels), _seeds_of(seeds, tile), tile, levels
+                seen = pixels(plane, tile.seen), _seeds_of(seeds, tile), tile, levels
                 costs.append(graph.add((number, column), coarse_pass, *seen, *how, after=before))
             last = rows[-1] if rows else None
             rows.append(graph.add(("row", number), join_cells, costs, 1, after=last))
@@ -239,7 +245,7 @@ class LazyCandidates:
             plane, noise = self.planes.plane(index), self.noise(index)
             graph = TileGraph(f"{name}-of", plane, noise, self._made_with, search)
             for tile, place in placed(tiles):
-                seen = pixels(plane, tile.pixels), tile
+                seen = pixels(plane, tile.seen), tile
                 graph.add(place, windows_of_tile, *seen, noise, how, name)
 
             def task_of(*place: int) -> Key:

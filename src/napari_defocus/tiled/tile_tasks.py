@@ -98,10 +98,18 @@ class Noise:
         return cls(noise, variance, intensities.above_noise(variance))
 
 
-def candidates_of_tile(pixels: NDArray[Any], noise: Noise, how: Estimation) -> BlurCandidates:
-    """Estimate the candidates of a tile, or of a plane."""
-    picture = how.prepared(pixels, noise.intensities)
-    return candidates_of(picture, how, *noise.of(picture))
+def candidates_of_tile(
+    seen: NDArray[Any], tile: Tile, noise: Noise, how: Estimation
+) -> BlurCandidates:
+    """Estimate the candidates of a tile, or of a plane, from all pixels that it sees."""
+    picture = how.prepared(seen, noise.intensities)
+    return candidates_of(picture, how, *noise.of(picture), within=tile.within)
+
+
+def _problem_of_tile(
+    seen: NDArray[Any], tile: Tile, noise: Noise, how: Estimation
+) -> LabelingProblem:
+    return LabelingProblem.of(candidates_of_tile(seen, tile, noise, how), seen[tile.within])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +214,7 @@ def coarse_pass(
     wanted: Wanted,
 ) -> dict[str, Problem]:
     """Return what the cells of the core of a tile cost: the coarse pass."""
-    problem = LabelingProblem.of(candidates_of_tile(pixels, noise, how), pixels)
+    problem = _problem_of_tile(pixels, tile, noise, how)
     own = tile.core_cells(levels)
     return {
         name: (data[own].copy(), weights[:, *own].copy())
@@ -248,7 +256,7 @@ def measure_tile(
     wanted: Wanted,
 ) -> Found:
     """Return what is asked for of a tile, in its core and, of what is blended, in its margin."""
-    problem = LabelingProblem.of(candidates_of_tile(pixels, noise, how), pixels)
+    problem = _problem_of_tile(pixels, tile, noise, how)
     at = tile.cells(levels)
     around = {
         name: CoarseLabels(np.ascontiguousarray(labels[at]), tile.core_cells(0), tile.inner_sides)
@@ -270,7 +278,9 @@ def confidence_pass(
     risk: float,
 ) -> Found:
     """Return the confidence of a given map in the core of a tile, and what is safe to undo."""
-    sure, safe = confidence_and_caution(candidates_of_tile(pixels, noise, how), blur_map, risk=risk)
+    sure, safe = confidence_and_caution(
+        candidates_of_tile(pixels, tile, noise, how), blur_map, risk=risk
+    )
     return {"confidence": sure[tile.core()].copy(), "cautious": safe[tile.core()].copy()}
 
 
@@ -278,5 +288,5 @@ def windows_of_tile(
     pixels: NDArray[Any], tile: Tile, noise: Noise, how: Estimation, name: str
 ) -> Float32:
     """Return an attribute of the candidates of the windows of a tile's core."""
-    values: Float32 = getattr(candidates_of_tile(pixels, noise, how), name)
+    values: Float32 = getattr(candidates_of_tile(pixels, tile, noise, how), name)
     return values[tile.core_cells(0)].copy()

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.likelihood.scale_space import reach_of
+
 Float32 = NDArray[np.float32]
 
 MARGIN = 32
@@ -22,8 +24,8 @@ MARGIN = 32
 Chosen by hand: wide enough that no border shows in maps (docs/decisions.md).
 """
 
-_COARSE_HALO, _FINE_HALO = 1.5, 3.0
-"""Halos, in sides of a window: data terms are exact from 1.5 on; from 3 on, labels differ from
+_COARSE_HALO, _FINE_HALO = 2.0, 3.0
+"""Halos, in sides of a window: data terms are exact from 2 on; from 3 on, labels differ from
 those of the whole picture by 0.004 to 0.018 px on average, with twice the work they would by half
 (docs/decisions.md)."""
 
@@ -43,7 +45,7 @@ class Span:
     start, stop : int
         Windows of its core.
     first, last : int
-        With those around; multiples of the cells' size, but at the picture's end.
+        With those around; `first` is a multiple of the cells' size.
     pixels : (int, int)
         Those of the windows from `first` to `last`: the same windows, if looked at alone.
     core : (int, int)
@@ -87,10 +89,28 @@ class Tile:
     Attributes
     ----------
     rows, columns : Span
+    seen_pixels : ((int, int), (int, int)) or None
+        Rows and columns of pixels that coarse levels see; None if no more than the spans.
     """
 
     rows: Span
     columns: Span
+    seen_pixels: tuple[tuple[int, int], tuple[int, int]] | None = None
+
+    @property
+    def seen(self) -> tuple[slice, slice]:
+        """Where its coarse levels look, in the picture."""
+        rows, columns = self.seen_pixels or (self.rows.pixels, self.columns.pixels)
+        return slice(*rows), slice(*columns)
+
+    @property
+    def within(self) -> tuple[slice, slice]:
+        """Where `pixels` are in what is `seen`."""
+        rows, columns = (
+            slice(part.start - all_.start, part.stop - all_.start)
+            for part, all_ in zip(self.pixels, self.seen, strict=True)
+        )
+        return rows, columns
 
     @property
     def pixels(self) -> tuple[slice, slice]:
@@ -150,12 +170,15 @@ class Tiling:
     window, stride : int
     block_size : int
         Side of a tile's core, in px; the last ones may be smaller.
+    scale_levels : int
+        Of pictures with averaged pixels, see `scale_space`: tiles have the same ones as the whole.
     """
 
     shape: tuple[int, int]
     window: int
     stride: int
     block_size: int
+    scale_levels: int = 1
 
     @property
     def levels(self) -> int:
@@ -177,24 +200,49 @@ class Tiling:
 
     def tiles_with_halo(self, reach: float) -> list[list[Tile]]:
         """Return rows of tiles with a halo of so many px."""
-        columns = self._spans(1, reach)
-        return [[Tile(row, column) for column in columns] for row in self._spans(0, reach)]
+        rows, columns = self._spans(0, reach), self._spans(1, reach)
+        return [
+            [Tile(row, column, (self._seen(0, row), self._seen(1, column))) for column in columns]
+            for row in rows
+        ]
+
+    def _seen(self, axis: int, span: Span) -> tuple[int, int]:
+        """Return the pixels that coarse levels see around those of a span."""
+        reach = reach_of(self.scale_levels, self.window)
+        if not reach:
+            return span.pixels
+        return self._span(axis, span.start, span.stop, span.first, span.last, reach).pixels
 
     def _spans(self, axis: int, reach: float) -> list[Span]:
-        length, stride = self.shape[axis], self.stride
-        windows = -(-length // stride)
-        lacking = windows * stride - length
-        cell = 1 << self.levels
-        side = max(1, self.block_size // (stride * cell)) * cell
-        halo = -(-int(np.ceil(reach / stride)) // cell) * cell
+        windows = -(-self.shape[axis] // self.stride)
+        side = max(1, self.block_size // (self.stride * self._unit)) * self._unit
         spans = []
         for start in range(0, windows, side):
             stop = min(start + side, windows)
-            first, last = max(start - halo, 0), min(stop + halo, windows)
-            pixels = first * stride, last * stride - lacking
-            own = start * stride, length if stop == windows else stop * stride
-            spans.append(Span(start, stop, first, last, pixels, own, length))
+            spans.append(self._span(axis, start, stop, start, stop, reach))
         return spans
+
+    @property
+    def _unit(self) -> int:
+        """Windows that tiles are multiples of: cells, and windows of the coarsest level, whole."""
+        return 1 << max(self.levels, self.scale_levels - 1)
+
+    def _span(self, axis: int, start: int, stop: int, first: int, last: int, reach: float) -> Span:
+        """Return a core, and what is seen `reach` px around some windows."""
+        length, stride, unit = self.shape[axis], self.stride, self._unit
+        windows = -(-length // stride)
+        # So that the windows of all levels are those of the whole, what is seen ends as it does.
+        lacking = -length % (stride << (self.scale_levels - 1))
+        halo = -(-int(np.ceil(reach / stride)) // unit) * unit
+        first = max(first - halo, 0)
+        last = -(-last // unit) * unit + halo
+        end = last * stride - lacking
+        if end >= length:
+            last, end = windows, length
+        else:
+            last -= lacking // stride
+        own = start * stride, length if stop == windows else stop * stride
+        return Span(start, stop, first, last, (first * stride, end), own, length)
 
 
 def neighbors(tiles: list[list[Tile]], row: int, column: int) -> Iterator[tuple[int, int]]:

@@ -1,0 +1,53 @@
+"""How far the curves of a neighbourhood are evidence at all.
+
+No window is exactly what the model says, so that the depth of its curve counts up to a limit.
+Where the curves of a neighbourhood, averaged, are flat, there is no texture, and what each of
+them prefers is chance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from napari_defocus.likelihood.candidates import BlurCandidates
+
+Float32 = NDArray[np.float32]
+
+DEPTH = np.float32(15)
+"""Of a curve, in log-likelihood: what lies deeper counts as much. Chosen on ramps and bumps."""
+
+_NEIGHBORHOOD = 8.0
+"""Standard deviation, in px, of the Gaussian that averages curves: they tell where texture is."""
+
+_EVERY = 4
+"""Of the scales, so many are looked at for that: every 0.4 px."""
+
+_INFORMATIVE, _STEEPNESS = 4.0, 3.0
+"""Noise alone gives averaged curves a depth of 0.05 to 0.9, rarely 3; texture 8 to 15."""
+
+
+def limited_below_top(curve: Float32) -> Float32:
+    """Return curves relative to their maxima, at least -15: (R, C, L)."""
+    return np.maximum(curve - curve.max(axis=2, keepdims=True), -DEPTH)
+
+
+def evidence_share(candidates: BlurCandidates) -> Float32:
+    """Return how far there is evidence around each window: 0 where there is no texture, to 1."""
+    return informed_share(np.ptp(averaged_curve(candidates, every=_EVERY), axis=2))
+
+
+def averaged_curve(candidates: BlurCandidates, every: int = 1) -> Float32:
+    """Average log p(r), of limited depth, over the windows that see about the same: (R, C, n).
+
+    Only at every so many scales, if `every` is above 1.
+    """
+    some = candidates.curve[..., ::every]
+    sigma = _NEIGHBORHOOD / candidates.stride
+    return gaussian_filter(limited_below_top(some), (sigma, sigma, 0))
+
+
+def informed_share(depth: Float32) -> Float32:
+    """Return how far an averaged curve of this depth is evidence at all."""
+    return 1 - np.exp(-((depth / np.float32(_INFORMATIVE)) ** np.float32(_STEEPNESS)))

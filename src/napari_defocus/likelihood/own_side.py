@@ -1,0 +1,106 @@
+"""Windows that are sharp only because of what lies beside them, and what is asked instead.
+
+A window that overlaps two blur scales is won by the sharper one (Section V of the paper), so
+that sharp regions grow by the window's radius. But it is seen where in the window the fine
+details are: the mean shift of their energy E under the Gaussian window of standard deviation
+sigma is d = sigma^2 grad log E (Fukunaga and Hostetler, IEEE Trans. Inf. Theory 21(1), 1975).
+Beside a textured half-plane, a window moved away by 2 d has left it when its own centre is
+outside, and not before. Where it is much blurrier there, the details belong to the other side,
+and the place takes the moved window's evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from napari_defocus.core.image import PreparedImage
+from napari_defocus.likelihood.candidates import BlurCandidates
+
+Float32 = NDArray[np.float32]
+
+_DETAIL = 1.0
+"""Standard deviation, in px, of the Gaussian that leaves no fine details."""
+
+_SHIFTS = 2.0
+"""How many mean shifts a window moves away from fine details, see above."""
+
+_LARGEST_SHIFT = 0.5
+"""As a share of the window's side."""
+
+_LEAST_RATIO, _LEAST_STEP = 2.0, 0.5
+"""The moved window is believed if it is blurred by more than 2 r + 0.5 px: a steep slope of the
+blur is no edge (a difference of 1 px instead cost bumps what edges gained; docs/decisions.md)."""
+
+_LEAST_ENERGY = 1e-12
+"""Of fine details, so that the logarithm of their energy is defined."""
+
+
+def on_own_side(candidates: BlurCandidates, picture: PreparedImage) -> BlurCandidates:
+    """Replace the curves of windows that are sharp only because of what lies beside them.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+        Of the mode "curve"; those of "paper" are returned as they are.
+    picture : PreparedImage
+        The same.
+    """
+    row, column = asked_windows(candidates, picture)
+    rows, columns = np.indices(row.shape)
+    moved = (row != rows) | (column != columns)
+    if not moved.any():
+        return candidates
+    own = candidates.curve.copy()
+    own[moved] = candidates.curve[row[moved], column[moved]]
+    return replace(candidates, curve=own)
+
+
+def asked_windows(
+    candidates: BlurCandidates, picture: PreparedImage
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the row and the column of the window whose curve each place takes: (R, C) each.
+
+    Its own, but where that is sharp only because of what lies beside it; see `on_own_side`.
+    """
+    curve = candidates.curve
+    places = np.indices(curve.shape[:2])
+    rows, columns = places[0], places[1]
+    if candidates.mode == "paper":
+        return rows, columns
+    row_shift, column_shift = _shifts(candidates, picture)
+    row = np.clip(np.rint(rows + row_shift), 0, curve.shape[0] - 1).astype(int)
+    column = np.clip(np.rint(columns + column_shift), 0, curve.shape[1] - 1).astype(int)
+    best = candidates.scales[curve.argmax(axis=2)]
+    blurrier = best[row, column] > _LEAST_RATIO * best + _LEAST_STEP
+    return np.where(blurrier, row, rows), np.where(blurrier, column, columns)
+
+
+def _shifts(candidates: BlurCandidates, picture: PreparedImage) -> Float32:
+    """Return how far each window moves away from where its fine details are: (2, R, C) windows."""
+    stride, window = candidates.stride, candidates.window
+    details = picture.evened - gaussian_filter(picture.evened, _DETAIL)
+    if picture.opaque is not None:
+        details[~picture.opaque] = 0
+    energy = gaussian_filter(details**2, stride / 2)
+    centers = (candidates.row_centers, candidates.column_centers)
+    sampled = energy[np.ix_(*(np.rint(center).astype(int) for center in centers))]
+    sampled += max(candidates.noise_variance / picture.intensities.unit**2, _LEAST_ENERGY)
+    # Power has the square of the filters' window, of standard deviation N / 4.
+    sigma = window / 4 / np.sqrt(2) / stride
+    log_energy = np.log(gaussian_filter(sampled, sigma, mode="nearest"))
+    shifts = (
+        -_SHIFTS
+        * sigma**2
+        * np.stack(
+            [
+                np.gradient(log_energy, axis=axis) if log_energy.shape[axis] > 1 else 0 * log_energy
+                for axis in (0, 1)
+            ]
+        )
+    )
+    length = np.hypot(*shifts)
+    return shifts * np.minimum(1, _LARGEST_SHIFT * window / stride / np.maximum(length, 1e-6))

@@ -1,0 +1,298 @@
+"""Blur of any size: the same windows on coarser and coarser pictures, joined to one curve.
+
+A window of 41 px tells radii up to 8 px. Twice as wide ones are measured with the same window on
+the picture whose pixels are means of 2 x 2, and so on: level l has pixels of 2^l px. The PSF is
+the family's own there, and white noise has 1 / 4^l of its variance. One curve of all levels lives
+on one axis of scales: 0.1 px apart up to 8 px, then as far apart as each level's own are, up to 16
+px, 32 px, and so on.
+
+Levels do not say the same, and not all that they say is true:
+
+- What is blurred beyond a level's range looks like anything between 3 px and the end of the range,
+  so all of that, and everything beyond, is as likely as the likeliest of it.
+- What is blurred little looks like 1 to 2 px of a coarse level, as things have less fine detail
+  than a white spectrum has. So all scales up to 3 px of level 1 (2 px of others) are one class.
+- Windows of coarse levels are wide, and the sharper side wins in them: where a level says "little"
+  and the finer one "much", the finer one, which sees less of its surroundings, is right.
+- Where the finer levels say "little" all around, something sharp is before a blurred ground: the
+  coarser levels have no say. Where only some of their windows do, it is chance, and loses its say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from napari_defocus.core.image import PreparedImage
+from napari_defocus.core.threads import in_bands
+from napari_defocus.likelihood.blur_spectra import LABEL_STEP
+from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.evidence import evidence_share, limited_below_top
+from napari_defocus.likelihood.exact_spectra import domain_of_window
+from napari_defocus.likelihood.own_side import on_own_side
+from napari_defocus.likelihood.prior import log_prior
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+
+_LEAST_SIDES = 4
+"""A picture is so many windows of the level before it high and wide, or has no such level: two
+windows of its own. Chosen by hand."""
+
+_ANYTHING = 3.0
+"""px of a level, if its windows tell 8 px: what lies beyond its range looks like more than that."""
+
+_LITTLE, _LITTLE_OF_FIRST = 2.0, 3.0
+"""px of such a level: up to there, radii are one class. Of level 1 it is more, as level 0 tells
+radii below 6 px better (bumps: 0.32 px with 2, 0.27 with 3; docs/decisions.md)."""
+
+_SAY = np.float32(0.5)
+"""Of a level, beside level 0: each sees what the one before it saw, too (docs/decisions.md)."""
+
+_STEEPNESS = np.float32(6)
+"""Units of log-likelihood from surely one class to surely the other. Chosen by hand."""
+
+_ALL, _SOME = np.float32(0.9), np.float32(0.6)
+"""Share of the windows around that say "little", from which coarser levels have no say; and up to
+which they have all of it."""
+
+_AROUND = 1.77
+"""Windows: standard deviation of the Gaussian over which windows count as around, that of a
+window's own weights if they lie 4 px apart."""
+
+_MARGIN = 77
+"""px of a level that a place sees at most: half a window, half a window that windows move, what
+evidence is averaged over, and the spaces between windows."""
+
+
+def level_count(shape: tuple[int, int], window: int, largest: float) -> int:
+    """Return how many levels a picture of a height and width has, for scales up to `largest` px."""
+    count = 1
+    while domain_of_window(window) * 2 ** (count - 1) < largest and min(
+        shape
+    ) >= _LEAST_SIDES * window * 2 ** (count - 1):
+        count += 1
+    return count
+
+
+def reach_of(levels: int, window: int) -> int:
+    """Return how far, in px, a place sees with so many levels, but for what level 0 sees."""
+    return 0 if levels == 1 else int(np.ceil(_MARGIN * window / 41)) * 2 ** (levels - 1)
+
+
+def joined_scales(largest: float, window: int, levels: int) -> Float64:
+    """Return the axis of scales, in px, of curves of so many levels: (L,)."""
+    domain = domain_of_window(window)
+    parts = [LABEL_STEP * np.arange(int(min(domain, largest) / LABEL_STEP + 1e-6) + 1)]
+    for level in range(1, levels):
+        step, start = LABEL_STEP * 2**level, domain * 2 ** (level - 1)
+        count = int((min(domain * 2**level, largest) - start) / step + 1e-6)
+        parts.append(start + step * np.arange(1, count + 1))
+    return np.concatenate(parts)
+
+
+def halved(picture: PreparedImage) -> PreparedImage:
+    """Return a picture whose pixels are means of 2 x 2; an odd last row or column is left out."""
+    opaque = None
+    if picture.opaque is not None:
+        opaque = _mean_of_four(picture.opaque.astype(np.float32)) > np.float32(0.5)
+    return PreparedImage(
+        _mean_of_four(picture.color), _mean_of_four(picture.luminance), opaque, picture.intensities
+    )
+
+
+def _mean_of_four(values: Float32) -> Float32:
+    height, width = (length // 2 * 2 for length in values.shape[:2])
+    top, bottom = values[0:height:2], values[1:height:2]
+    pairs = (top[:, 0:width:2] + top[:, 1:width:2]) + (bottom[:, 0:width:2] + bottom[:, 1:width:2])
+    return np.ascontiguousarray(np.float32(0.25) * pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """What one level says.
+
+    Attributes
+    ----------
+    picture : PreparedImage
+        Of pixels that are means of `side` x `side` px.
+    candidates : BlurCandidates
+        In px of the level.
+    side : int
+    """
+
+    picture: PreparedImage
+    candidates: BlurCandidates
+    side: int
+
+    def places(self, row_centers: Float64, column_centers: Float64) -> tuple[Float64, Float64]:
+        """Return where places, in px of level 0, lie between the windows, counted in windows."""
+        found = self.candidates
+        rows, columns = (
+            np.clip(((at + 0.5) / self.side - 0.5 - own[0]) / found.stride, 0, max(len(own) - 1, 0))
+            for at, own in (
+                (row_centers, found.row_centers),
+                (column_centers, found.column_centers),
+            )
+        )
+        return rows, columns
+
+
+def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tuple[Float32, Float32]:
+    """Join the curves of all levels.
+
+    Parameters
+    ----------
+    levels : list of Level
+        From the finest on; the finest may show a part of what the others show.
+    scales : (L,) float64 ndarray
+        Of the joined curve, see `joined_scales`.
+    start : (int, int)
+        First row and column, in px, that the finest one shows.
+
+    Returns
+    -------
+    curve : (R, C, L) float32 ndarray
+        In log-likelihood, 0 at its top.
+    weight : (R, C) float32 ndarray
+        How much a place counts: what wide windows say, many places share.
+    """
+    finest = levels[0].candidates
+    at = finest.row_centers + start[0], finest.column_centers + start[1]
+    before = limited_below_top(finest.curve)
+    unit = domain_of_window(finest.window) / 8
+    anything = unit * _ANYTHING
+    total = _on_axis(before, 1, scales, finest.scales, anything)
+    octaves = np.zeros(total.shape[:2], np.float32)
+    free = np.ones_like(octaves)
+    fine = levels[0]
+    for number, level in enumerate(levels[1:], 1):
+        little = unit * (_LITTLE_OF_FIRST if number == 1 else _LITTLE)
+        own = on_own_side(level.candidates, level.picture)
+        plain = limited_below_top(own.curve)
+        around = np.stack(
+            _said_around(before, fine.candidates.scales, anything, 2 * little), axis=2
+        )
+        if fine.side > 1:
+            around = _between(around, *fine.places(*at))
+        says_little = _share_below(plain, level.candidates.scales, little, prior=False)
+        here = _between(np.stack([evidence_share(own), says_little], axis=2), *level.places(*at))
+        free = np.minimum(free, np.clip((_ALL - around[..., 0]) / (_ALL - _SOME), 0, 1))
+        much = here[..., 0] * free * (1 - here[..., 1])
+        spilled = here[..., 1] * np.minimum(np.float32(1.5) * around[..., 1], 1)
+        gain = _SAY * here[..., 0] * free * (1 - spilled)
+        keep = 1 - much * _share_below(total, scales, anything * level.side / 2)
+        curve = _on_axis(plain, level.side, scales, level.candidates.scales, anything, little)
+        in_bands(_add_level, len(total), curve, *level.places(*at), keep, gain, total)
+        if number > 1:
+            octaves += (0.5 if number == 2 else 1.0) * much
+        if number == len(levels) - 1 and number > 1:
+            octaves += np.float32(0.5) * much
+        before, fine = plain, level
+    total -= total.max(axis=2, keepdims=True)
+    return total, (1 / (1 + octaves)).astype(np.float32)
+
+
+def _on_axis(
+    curve: Float32,
+    side: int,
+    scales: Float64,
+    own: Float64,
+    anything: float,
+    little: float | None = None,
+) -> Float32:
+    """Return curves of a level at the scales of all: one class below, one beyond its range."""
+    first = int(np.searchsorted(own, anything - 1e-6))
+    at = scales / side
+    inside = at <= own[-1] + 1e-6
+    position = np.minimum(at[inside] / LABEL_STEP, len(own) - 1)
+    low = np.minimum(position.astype(int), len(own) - 2)
+    share = (position - low).astype(np.float32)
+    if little is not None:
+        count = int(np.searchsorted(own, little + 1e-6))
+        curve = curve.copy()
+        curve[..., :count] = curve[..., :count].max(axis=2, keepdims=True)
+    found = np.empty((*curve.shape[:2], len(scales)), np.float32)
+    found[..., inside] = curve[..., low] + share * (curve[..., low + 1] - curve[..., low])
+    found[..., ~inside] = curve[..., first:].max(axis=2, keepdims=True)
+    return found
+
+
+def _share_below(curve: Float32, scales: Float64, limit: float, *, prior: bool = True) -> Float32:
+    """Return how surely a scale is at most `limit`: (R, C) from 0 to 1."""
+    likely = curve + log_prior(scales) if prior else curve
+    below = int(np.searchsorted(scales, limit + 1e-6))
+    if below >= likely.shape[2]:
+        return np.ones(likely.shape[:2], np.float32)
+    rise = likely[..., :below].max(axis=2) - likely[..., below:].max(axis=2)
+    return np.clip(np.float32(0.5) + rise / _STEEPNESS, 0, 1)
+
+
+def _said_around(
+    curve: Float32, scales: Float64, little: float, much: float
+) -> tuple[Float32, Float32]:
+    """Return which share of the windows around says "little", and which says "much": (R, C)."""
+    said = _share_below(curve, scales, little), 1 - _share_below(curve, scales, much)
+    first, second = (gaussian_filter(share, _AROUND, truncate=2.0) for share in said)
+    return first, second
+
+
+def _between(values: Float32, rows: Float64, columns: Float64) -> Float32:
+    """Interpolate between windows: (r, c, n) at R rows and C columns to (R, C, n)."""
+    found = np.empty((len(rows), len(columns), values.shape[2]), np.float32)
+    in_bands(_interpolate, len(rows), np.ascontiguousarray(values), rows, columns, found)
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _interpolate(
+    start: int, stop: int, values: Float32, rows: Float64, columns: Float64, found: Float32
+) -> None:
+    height, width, count = values.shape
+    for i in range(start, stop):
+        top = min(int(rows[i]), max(height - 2, 0))
+        bottom, down = min(top + 1, height - 1), np.float32(rows[i] - top)
+        for j in range(len(columns)):
+            left = min(int(columns[j]), max(width - 2, 0))
+            right, along = min(left + 1, width - 1), np.float32(columns[j] - left)
+            for k in range(count):
+                upper = values[top, left, k] + along * (
+                    values[top, right, k] - values[top, left, k]
+                )
+                lower = values[bottom, left, k]
+                lower += along * (values[bottom, right, k] - lower)
+                found[i, j, k] = upper + down * (lower - upper)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _add_level(
+    start: int,
+    stop: int,
+    curve: Float32,
+    rows: Float64,
+    columns: Float64,
+    keep: Float32,
+    gain: Float32,
+    total: Float32,
+) -> None:
+    """Multiply curves by a share of their own, and add a share of a coarser level's, between."""
+    height, width, count = curve.shape
+    for i in range(start, stop):
+        top = min(int(rows[i]), max(height - 2, 0))
+        bottom, down = min(top + 1, height - 1), np.float32(rows[i] - top)
+        for j in range(len(columns)):
+            left = min(int(columns[j]), max(width - 2, 0))
+            right, along = min(left + 1, width - 1), np.float32(columns[j] - left)
+            kept, gained = keep[i, j], gain[i, j]
+            if gained == 0 and kept == 1:
+                continue
+            for k in range(count):
+                upper, lower = curve[top, left, k], curve[bottom, left, k]
+                upper += along * (curve[top, right, k] - upper)
+                lower += along * (curve[bottom, right, k] - lower)
+                said = upper + down * (lower - upper)
+                total[i, j, k] = kept * total[i, j, k] + gained * said
