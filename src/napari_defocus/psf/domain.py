@@ -25,7 +25,7 @@ def limited(psf: PSFFamily, largest: float) -> PSFFamily:
     """Return a family whose scales go no farther than `largest`, in px."""
     if psf.max_scale <= largest:
         return psf
-    names = {field.name for field in fields(psf)} if is_dataclass(psf) else set()
+    names: set[str] = {field.name for field in fields(psf)} if is_dataclass(psf) else set()
     for name in ("max_radius", "max_scale"):
         if name in names:
             smaller: Any = replace(cast("Any", psf), **{name: largest})
