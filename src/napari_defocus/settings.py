@@ -59,7 +59,9 @@ class MapSettings:
     psf : str
         The PSF family, as `napari_defocus.psf_from_text` reads it; "auto" lets the picture choose.
     max_radius : float
-        Largest blur radius that is looked for, in px, see `psf_of`.
+        Largest blur radius that is looked for, in px, see `psf_of`. Small pictures are searched up
+        to less: 32 px if their shorter side is below 656 px, 16 px below 328 px, 8 px below 164 px
+        (of windows of 41 px).
     window : int
         Side N of the analysis window, in px; odd.
     stride : int

@@ -7,7 +7,7 @@ from scipy.signal import fftconvolve
 
 from napari_defocus import Disc
 from napari_defocus.likelihood.blur_spectra import label_scales, spectrum_table
-from napari_defocus.likelihood.exact_spectra import check_windows
+from napari_defocus.likelihood.exact_spectra import within_window
 from napari_defocus.likelihood.fitted_spectra import fit_log_spectra, fit_report
 from napari_defocus.likelihood.gabor import frequencies, gradients, local_power
 from napari_defocus.psf.families import Annulus, Gaussian, KernelFunction, Polygon
@@ -18,7 +18,7 @@ FRACTIONS = pytest.mark.parametrize("fraction", [(0.0, 0.0), (0.5, 0.5), (0.0, 0
 
 @pytest.fixture(scope="module")
 def table():
-    return spectrum_table(Disc(), 41, 0.0, 0.0, "exact")
+    return spectrum_table(Disc(8.0), 41, 0.0, 0.0, "exact")
 
 
 def filters(direction, fraction, window=41):
@@ -38,15 +38,15 @@ def filters(direction, fraction, window=41):
 
 @FRACTIONS
 def test_point_leaves_every_power_as_it_is(fraction):
-    table = spectrum_table(Disc(), 41, *fraction, "exact")
+    table = spectrum_table(Disc(8.0), 41, *fraction, "exact")
     np.testing.assert_allclose(table.at(np.array([0.0, 0.2, 0.5])), 1, rtol=1e-6)
 
 
 @FRACTIONS
 @pytest.mark.parametrize("radius", [1.0, 3.3, 7.0])
 def test_blur_spectrum_is_the_energy_of_the_blurred_filter(radius, fraction):
-    at_radius = spectrum_table(Disc(), 41, *fraction, "exact").at(np.array([radius]))[0]
-    kernel = Disc().kernel(radius)
+    at_radius = spectrum_table(Disc(8.0), 41, *fraction, "exact").at(np.array([radius]))[0]
+    kernel = Disc(8.0).kernel(radius)
     for direction in (0, 1):
         energy = [np.sum(np.abs(fftconvolve(kernel, t)) ** 2) for t in filters(direction, fraction)]
         # Filters are kept in single precision.
@@ -55,7 +55,7 @@ def test_blur_spectrum_is_the_energy_of_the_blurred_filter(radius, fraction):
 
 @FRACTIONS
 def test_noise_spectrum_is_the_energy_of_the_differentiated_filter(fraction):
-    table = spectrum_table(Disc(), 41, *fraction, "exact")
+    table = spectrum_table(Disc(8.0), 41, *fraction, "exact")
     for direction, difference in enumerate((np.array([[1, -1]]), np.array([[1], [-1]]))):
         energy = [
             np.sum(np.abs(fftconvolve(difference, t)) ** 2) for t in filters(direction, fraction)
@@ -68,7 +68,7 @@ def test_noise_spectrum_is_the_power_of_white_noise():
     centers = np.arange(25.0, 375.0, 10)
     power = local_power(gradients(noise, None, 41), centers, centers, 41)
     # 35 x 35 windows overlap: some 80 are independent, each power has a spread of 100 %.
-    ratio = power.mean(axis=(0, 1)) / spectrum_table(Disc(), 41, 0.0, 0.0, "exact").noise
+    ratio = power.mean(axis=(0, 1)) / spectrum_table(Disc(8.0), 41, 0.0, 0.0, "exact").noise
     np.testing.assert_allclose(ratio.mean(), 1, rtol=0.03)
     np.testing.assert_allclose(ratio, 1, rtol=0.5)
 
@@ -95,7 +95,9 @@ def test_values_between_the_scales_follow_from_the_derivatives(table):
     np.testing.assert_allclose(taylor, exact, rtol=1e-3)
 
 
-@pytest.mark.parametrize("psf", [Disc(), Polygon(6), Annulus(0.5), Disc(4.7)])
+@pytest.mark.parametrize(
+    "psf", [Disc(8.0), Polygon(6, max_radius=8.0), Annulus(0.5, 8.0), Disc(4.7)]
+)
 def test_fit_of_12_is_within_4_percent_and_half_of_it_within_3_per_mille(psf):
     exact = spectrum_table(psf, 41, 0.0, 0.0, "exact")
     fitted = spectrum_table(psf, 41, 0.0, 0.0, "fitted")
@@ -106,7 +108,7 @@ def test_fit_of_12_is_within_4_percent_and_half_of_it_within_3_per_mille(psf):
 
 
 def test_fit_of_12_begins_where_the_disc_stops_being_a_point(table):
-    fitted = spectrum_table(Disc(), 41, 0.0, 0.0, "fitted")
+    fitted = spectrum_table(Disc(8.0), 41, 0.0, 0.0, "fitted")
     point = table.scales <= 0.5
     np.testing.assert_array_equal(fitted.value[point], 1)
     np.testing.assert_array_equal(fitted.first[point], 0)
@@ -134,7 +136,7 @@ def test_fit_of_12_finds_a_sum_of_powers_and_its_derivatives(lowest):
 
 
 def test_report_compares_the_fit_with_the_spectra():
-    report = fit_report(Gaussian())
+    report = fit_report(Gaussian(8.0))
     assert report.log_errors.shape == (len(report.scales), 2, 60)
     assert report.frequencies.shape == (60, 2)
     assert np.abs(report.frequencies).max() < 0.25
@@ -156,18 +158,18 @@ def test_windows_are_checked_and_a_function_becomes_a_family():
         inside = np.clip(side / 2 + 0.5 - np.abs(np.arange(-5, 6)), 0, 1)
         return np.outer(inside, inside)
 
-    assert check_windows(square, 41) == KernelFunction(square)
-    assert check_windows(Disc(), 41) == Disc()
+    assert within_window(square, 41) == KernelFunction(square)
+    assert within_window(Disc(8.0), 41) == Disc(8.0)
     for window in (40, 15, 41.0):
         with pytest.raises(ValueError, match=r"window is .*; it takes an odd number of px from 17"):
-            check_windows(Disc(), window)
-    with pytest.raises(ValueError, match="psf has a largest scale of 21 px; a window of 41 px"):
-        check_windows(Disc(21), 41)
+            within_window(Disc(8.0), window)
+    assert within_window(Disc(20), 41) == Disc(20)
+    assert within_window(Disc(21), 41) == Disc(8.0)
 
 
 @pytest.mark.parametrize("spectra", ["exact", "fitted"])
 def test_table_of_a_measured_lens_is_close_to_that_of_its_aperture(spectra):
-    lens = Polygon(6)
+    lens = Polygon(6, max_radius=8.0)
     kernels = [lens.kernel(scale) for scale in range(9)]
     frames = [np.pad(kernel, (19 - len(kernel)) // 2) for kernel in kernels]
     measured = spectrum_table(MeasuredPSF(range(9), frames), 41, 0.0, 0.0, spectra)
@@ -189,7 +191,7 @@ def test_kernels_that_are_larger_at_smaller_scales_are_seen_whole():
 
 
 def test_labels_are_a_tenth_of_a_pixel_apart_up_to_the_largest_radius():
-    np.testing.assert_allclose(label_scales(Disc()), np.arange(81) / 10)
+    np.testing.assert_allclose(label_scales(Disc(8.0)), np.arange(81) / 10)
     np.testing.assert_allclose(label_scales(Disc(3.07)), np.arange(31) / 10)
 
 

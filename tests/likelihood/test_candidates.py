@@ -62,7 +62,7 @@ def test_at_most_three_candidates_best_first(defocused, grass):
 
 def test_candidates_tell_what_made_them(candidates):
     assert candidates.image_shape == (121, 101)
-    assert candidates.psf == Disc()
+    assert candidates.psf == Disc(8.0)
     assert candidates.noise_variance == NOISE
     assert (candidates.window, candidates.stride) == (41, 4)
     assert candidates.curve.shape == (31, 26, 81)
@@ -353,7 +353,7 @@ def test_picture_for_a_display_is_decoded_into_linear_light(clouds, defocused):
 
 
 def test_function_is_a_psf_family(blurred, candidates):
-    found = estimate_candidates(blurred, psf=Disc().kernel, noise_variance=NOISE)
+    found = estimate_candidates(blurred, psf=Disc(8.0).kernel, noise_variance=NOISE)
     np.testing.assert_allclose(found.curve, candidates.curve, atol=0.01)
 
 

@@ -14,12 +14,12 @@ from napari_defocus.likelihood.profile_likelihood import (
 )
 
 NOISE_VARIANCE = 1e-5
-SCALES = label_scales(Disc())
+SCALES = label_scales(Disc(8.0))
 
 
 @pytest.fixture(scope="module")
 def table():
-    return spectrum_table(Disc(), 41, 0.0, 0.0, "exact")
+    return spectrum_table(Disc(8.0), 41, 0.0, 0.0, "exact")
 
 
 def powers_of_the_model(table, radius, strength, windows, seed=0):

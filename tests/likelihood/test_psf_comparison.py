@@ -13,7 +13,7 @@ from napari_defocus import (
     simulate_defocus,
 )
 
-FAMILIES = [Disc(), Polygon(6), Annulus(0.5), Gaussian()]
+FAMILIES = [Disc(8.0), Polygon(6, max_radius=8.0), Annulus(0.5, 8.0), Gaussian(8.0)]
 
 
 @pytest.mark.parametrize("psf", FAMILIES[:3], ids=lambda psf: type(psf).__name__)
@@ -32,7 +32,7 @@ def test_family_that_made_the_picture_wins(request, psf, texture):
 
 
 def test_table_names_the_families_best_first(clouds, defocused):
-    found = compare_psf(defocused(clouds, 4), [Annulus(0.5), Disc()])
+    found = compare_psf(defocused(clouds, 4), [Annulus(0.5, 8.0), Disc(8.0)])
     lines = str(found).splitlines()
     assert lines[1].startswith("disc")
     assert lines[2].startswith("annulus:0.5")
@@ -41,7 +41,7 @@ def test_table_names_the_families_best_first(clouds, defocused):
 
 
 def test_function_is_a_family(clouds, defocused):
-    found = compare_psf(defocused(clouds, 4), [Disc().kernel, Gaussian()])
+    found = compare_psf(defocused(clouds, 4), [Disc(8.0).kernel, Gaussian(8.0)])
     assert found.best.max_scale == 8
     assert "px" in str(found)
 

@@ -33,7 +33,7 @@ def table_of(psf):
 def windows(request):
     """Make the powers of 64 windows of a picture blurred by one scale: (64, 2, 60)."""
 
-    def powers(texture, scale, noise_variance, psf=Disc()):
+    def powers(texture, scale, noise_variance, psf=Disc(8.0)):
         picture = request.getfixturevalue(texture)
         blur_map = np.full(picture.shape[:2], scale)
         blurred = simulate_defocus(picture, blur_map, psf=psf, noise_variance=noise_variance, rng=0)
@@ -70,8 +70,8 @@ def test_exact_likelihood_is_that_of_the_tables_at_their_scales(windows, fractio
 @pytest.mark.parametrize("scale", [0.0, 2.5, 4.0, 8.0])
 def test_no_strength_beats_those_of_the_exact_likelihood(windows, scale):
     power = windows("astronaut", 3.0, 1e-5)[::4]
-    exact = exact_log_likelihood(power, Disc(), WINDOW, 0.0, 0.0, np.array([scale]), 1e-5)[:, 0]
-    table = table_of(Disc())
+    exact = exact_log_likelihood(power, Disc(8.0), WINDOW, 0.0, 0.0, np.array([scale]), 1e-5)[:, 0]
+    table = table_of(Disc(8.0))
     strength = np.concatenate([[0], np.geomspace(1e-9, 10, 1500)])[:, None, None]
     variance = strength * table.at(np.array([scale])) + noise_power(table, 1e-5)
     tried = -np.einsum("pdf,sdf->psd", power, 1 / variance) - np.log(variance).sum(axis=2)
@@ -82,8 +82,8 @@ def test_fast_path_finds_what_the_paper_s_search_finds(windows):
     best_agree, found = [], []
     for case in DISCS:
         power, noise = windows(*case), case[2]
-        radii, heights = fast_maxima(power, Disc(), noise)
-        expected, expected_heights = reference_maxima(power, Disc(), noise)
+        radii, heights = fast_maxima(power, Disc(8.0), noise)
+        expected, expected_heights = reference_maxima(power, Disc(8.0), noise)
         best_agree.append(np.abs(radii[:, 0] - expected[:, 0]) < 0.01)
         close = np.abs(radii[:, None] - expected[..., None]) < 0.01
         with np.errstate(invalid="ignore"):
@@ -97,7 +97,7 @@ def test_fast_path_finds_what_the_paper_s_search_finds(windows):
 
 @pytest.mark.parametrize("maxima", [fast_maxima, reference_maxima])
 @pytest.mark.parametrize(
-    ("psf", "cases"), [(Disc(), DISCS), (Gaussian(), GAUSSIANS)], ids=["disc", "gaussian"]
+    ("psf", "cases"), [(Disc(8.0), DISCS), (Gaussian(8.0), GAUSSIANS)], ids=["disc", "gaussian"]
 )
 def test_maxima_are_those_of_the_exact_likelihood(windows, psf, cases, maxima):
     within, error = [], []
@@ -120,10 +120,10 @@ def test_maxima_are_those_of_the_exact_likelihood(windows, psf, cases, maxima):
 
 
 def test_dispersion_weighs_the_gradients_as_on_the_fast_path(windows):
-    power, scales = windows("astronaut", 3.0, 1e-5), label_scales(Disc())
-    curve, dispersion = quasi_log_likelihood(power, table_of(Disc()), scales, 1e-5)
-    fast, heights = local_maxima(power, curve, table_of(Disc()), scales, 1e-5, dispersion)
-    radii, expected = fixed_point_maxima(power, table_of(Disc()), 1e-5, dispersion)
+    power, scales = windows("astronaut", 3.0, 1e-5), label_scales(Disc(8.0))
+    curve, dispersion = quasi_log_likelihood(power, table_of(Disc(8.0)), scales, 1e-5)
+    fast, heights = local_maxima(power, curve, table_of(Disc(8.0)), scales, 1e-5, dispersion)
+    radii, expected = fixed_point_maxima(power, table_of(Disc(8.0)), 1e-5, dispersion)
     same = np.abs(fast[:, 0] - radii[:, 0]) < 0.01
     assert same.mean() > 0.95
     np.testing.assert_allclose(heights[same, 0], expected[same, 0], rtol=0, atol=0.02)
@@ -131,7 +131,7 @@ def test_dispersion_weighs_the_gradients_as_on_the_fast_path(windows):
 
 def test_at_most_three_distinct_maxima_best_first(windows):
     power = windows("astronaut", 7.0, 1e-4)
-    radii, heights = fixed_point_maxima(power, table_of(Disc()), 1e-4)
+    radii, heights = fixed_point_maxima(power, table_of(Disc(8.0)), 1e-4)
     assert radii.shape == heights.shape == (64, 3)
     assert radii.dtype == heights.dtype == np.float32
     np.testing.assert_array_equal(np.isnan(radii), np.isneginf(heights))
@@ -143,7 +143,7 @@ def test_at_most_three_distinct_maxima_best_first(windows):
 
 
 def test_every_start_climbs_to_a_maximum_and_the_same_ends_are_one(windows):
-    power, table = windows("clouds", 5.0, 1e-6), table_of(Disc())
+    power, table = windows("clouds", 5.0, 1e-6), table_of(Disc(8.0))
     radii, _ = fixed_point_maxima(power, table, 1e-6)
     near = np.array([4.95, 5.0, 5.05])
     alone, _ = fixed_point_maxima(power, table, 1e-6, starts=near)
@@ -152,6 +152,6 @@ def test_every_start_climbs_to_a_maximum_and_the_same_ends_are_one(windows):
 
 
 def test_window_without_any_power_is_no_error():
-    radii, heights = fixed_point_maxima(np.zeros((2, 2, 60), np.float32), table_of(Disc()), 1e-5)
+    radii, heights = fixed_point_maxima(np.zeros((2, 2, 60), np.float32), table_of(Disc(8.0)), 1e-5)
     assert np.isfinite(radii[:, 0]).all()
     np.testing.assert_allclose(heights[np.isfinite(radii)], heights[0, 0], rtol=0, atol=1e-3)

@@ -87,8 +87,11 @@ def estimate_candidates(
         carries no evidence: pixels that are NaN, masked (numpy.ma), or fully transparent, where
         a fourth channel is opacity. A stack of pictures if `axes` says so.
     psf : PSFFamily or callable or "auto", optional
-        The family of PSFs; a disc of up to 8 px by default. A function from a scale in px, up
-        to 8, to a kernel is a family too. "auto" lets the picture choose: a Gaussian or a ring of
+        The family of PSFs; a disc by default. Its largest scale, 64 px by default, is looked for as
+        far as the picture's size allows: a picture whose shorter side is below 656 px is searched
+        up to 32 px, below 328 px up to 16, below 164 px up to 8 (windows of 41 px); what it was is
+        in `BlurCandidates.psf`. A function from a scale in px, up to 8, to a kernel is a family
+        too. "auto" lets the picture choose: a Gaussian or a ring of
         obstruction 0.3 or 0.5 if it clearly shows one, else a disc
         (`BlurCandidates.psf`, `BlurCandidates.psf_choice`); one for all planes of a stack. With
         another largest radius, `AutomaticPSF`.
@@ -146,8 +149,7 @@ def estimate_candidates(
     ValueError
         If `image` has another shape, a side below 3 px or infinite values; if
         `noise_variance` is negative; if `mode`, `spectra`, `search` or `linearize` is unknown;
-        if `window` is no odd number from 17 up, `stride` is not within 1 to `window`, or twice
-        the family's largest scale exceeds `window`.
+        if `window` is no odd number from 17 up, or `stride` is not within 1 to `window`.
 
     References
     ----------

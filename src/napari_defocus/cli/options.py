@@ -84,8 +84,9 @@ camera_softness PX
     Standard deviation of the blur that the camera has of its own, in px; radii are the defocus
     beyond it.
 max_radius PX
-    Largest blur radius that is looked for, in px. A Gaussian is looked for up to a standard
-    deviation of half of it, as a disc of that radius has.
+    Largest blur radius that is looked for, in px. Small pictures are searched up to less: 32 px
+    if their shorter side is below 656 px, 16 px below 328 px, 8 px below 164 px. A Gaussian is
+    looked for up to a standard deviation of half of it, as a disc of that radius has.
 window PX
     Side of the window whose spectrum speaks for a place, in px; odd.
 stride PX

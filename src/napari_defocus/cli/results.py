@@ -90,7 +90,7 @@ def encoded_maps(
     assert confidence is not None
     return encoded(
         maps,
-        lambda: encoders.blur_map_png(trusted, psf.max_scale, psf.scale_name, min_confidence),
+        lambda: encoders.blur_map_png(trusted, None, psf.scale_name, min_confidence),
         lambda: encoders.blur_map_tiff(trusted, shaping, psf.scale_name),
     ) | encoded(
         confidences,

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
+from napari_defocus.core.color_range import color_limit
 from napari_defocus.core.image import prepare_image, shown_colors
 from napari_defocus.io.provenance import ALL_IN_FOCUS, mark_in_tiff, marked_png, signature
 from napari_defocus.psf import BLUR_RADIUS
-from napari_defocus.settings import MapSettings
 
 _BLUR_QUANTITY = "defocus blur"
 _EARLIER_UNITS = {
@@ -242,19 +242,21 @@ def values_in_tiff(path: str | os.PathLike[str]) -> NDArray[Any]:
 
 def blur_map_png(
     blur_map: ArrayLike,
-    max_scale: float = MapSettings.max_radius,
+    max_scale: float | None = None,
     scale_name: str = BLUR_RADIUS,
     min_confidence: float = 0.0,
 ) -> bytes:
     """Draw a blur map, (H, W) in px, in colour, with a colour bar, as a PNG file.
 
-    The bar ends at 0 px and `max_scale`. NaN, where the map is not trusted, is grey; below which
-    confidence that is, is told if it is above 0. A pixel of the map is one of the drawing, unless
-    it is very small or very large.
+    The bar ends at 0 px and `max_scale`, by default that of `color_limit`. NaN, where the map is
+    not trusted, is grey; below which confidence that is, is told if it is above 0. A pixel of the
+    map is one of the drawing, unless it is very small or very large.
     """
     note = f"grey: confidence below {min_confidence:g}" if min_confidence > 0 else ""
+    values = np.asarray(blur_map)
+    limit = color_limit(values) if max_scale is None else max_scale
     return _drawing(
-        blur_map, COLOR_MAP, (0.0, max_scale), f"blur {scale_name.removeprefix('blur ')}", note
+        values, COLOR_MAP, (0.0, limit), f"blur {scale_name.removeprefix('blur ')}", note
     )
 
 

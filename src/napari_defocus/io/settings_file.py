@@ -233,10 +233,11 @@ def _as_float(value: Any, taken: Any) -> Any:
 
 def _check_estimation(settings: MapSettings) -> None:
     """Check what is otherwise found out when a picture is there."""
-    from napari_defocus.likelihood.exact_spectra import check_windows
+    from napari_defocus.likelihood.exact_spectra import check_side
     from napari_defocus.psf.parsing import psf_of
 
     # The file of a measured lens may be elsewhere now, or another lens be asked for.
     text = "disc" if settings.psf.lower().endswith(".npz") else settings.psf
-    check_windows(psf_of(text, settings.max_radius), settings.window)
+    psf_of(text, settings.max_radius)
+    check_side(settings.window)
     check_stride(settings.stride, settings.window)

@@ -24,7 +24,7 @@ from napari_defocus.core.progress import within as within_share
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, spectrum_table
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window
+from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window, within_window
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
 from napari_defocus.likelihood.maxima import CANDIDATES, joined_maxima, largest_point, local_maxima
 from napari_defocus.likelihood.profile_likelihood import (
@@ -110,11 +110,15 @@ class Estimation:
         count = 1
         if self.mode != "paper" and self.search != "fixed-point":
             count = level_count(shape, self.window, self.psf.max_scale)
+        if count == 1:
+            return replace(self, psf=within_window(self.psf, self.window), levels=1)
         domain = domain_of_window(self.window) * 2 ** (count - 1)
         return replace(self, psf=limited(self.psf, domain), levels=count)
 
     def of_level(self, level: int) -> Estimation:
         """Return how one level is estimated: its own PSF, in its own px."""
+        if self.levels == 1:
+            return self
         psf = seen_with_pixels(self.psf, 2**level, domain_of_window(self.window))
         search = self.search if level == 0 else None
         return replace(self, psf=psf, levels=1, search=search)

@@ -24,18 +24,6 @@ TABLE_STEP = 0.02
 """px between the scales of a table, at most. Chosen by hand."""
 
 
-def check_windows(psf: PSFFamily | Callable[[float], ArrayLike], window: int) -> PSFFamily:
-    """Return the PSF family, after a check of it and of the windows' side in px."""
-    family = as_family(psf)
-    check_side(window)
-    if 2 * family.max_scale > window:
-        raise ValueError(
-            f"psf has a largest scale of {family.max_scale} px; "
-            f"a window of {window} px takes at most {window / 2} px"
-        )
-    return family
-
-
 def check_side(window: int) -> int:
     """Return the side of windows, in px, after a check of it."""
     if not isinstance(window, (int, np.integer)) or window % 2 == 0 or window < MIN_WINDOW:
@@ -49,9 +37,9 @@ def domain_of_window(window: int) -> float:
 
 
 def within_window(psf: PSFFamily | Callable[[float], ArrayLike], window: int) -> PSFFamily:
-    """Return the PSF family with a domain that windows of a side in px can tell."""
-    domain = domain_of_window(check_side(window))
-    return limited(as_family(psf), domain)
+    """Return the PSF family; with a smaller domain, if windows, of a side in px, are too small."""
+    family, domain = as_family(psf), domain_of_window(check_side(window))
+    return family if 2 * family.max_scale <= window else limited(family, domain)
 
 
 def log_blur_spectra(

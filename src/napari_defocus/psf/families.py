@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf, gammaincinv, gammaln
 
 from napari_defocus.core.checks import check_number
-from napari_defocus.psf import BLUR_RADIUS, MAX_RADIUS
+from napari_defocus.psf import BLUR_RADIUS, MAX_RADIUS, MAX_SCALE_OF_FUNCTION
 from napari_defocus.psf.checks import check_largest, checked_kernels, checked_scale
 from napari_defocus.psf.pixel_areas import (
     corners_to,
@@ -423,7 +423,7 @@ class KernelFunction:
     """
 
     function: Callable[[float], ArrayLike]
-    max_scale: float = MAX_RADIUS
+    max_scale: float = MAX_SCALE_OF_FUNCTION
     scale_name: str = "scale (px)"
 
     def __post_init__(self) -> None:
@@ -493,7 +493,7 @@ def as_family(psf: PSFFamily | Callable[[float], ArrayLike]) -> PSFFamily:
     Examples
     --------
     >>> as_family(Disc())
-    Disc(max_radius=8.0)
+    Disc(max_radius=64.0)
     """
     if not isinstance(psf, type):
         if isinstance(psf, PSFFamily):

@@ -23,7 +23,7 @@ from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, n
 from napari_defocus.core.known_pixels import limits_of
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.pairwise_term import Blocks
-from napari_defocus.likelihood.exact_spectra import check_windows
+from napari_defocus.likelihood.exact_spectra import within_window
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
 from napari_defocus.settings import MapSettings
@@ -215,7 +215,7 @@ def sharpest_plane(
     >>> bool(np.median(np.abs(found.position - focus)) < 0.3)
     True
     """
-    psf = check_windows(psf, window)
+    psf = within_window(psf, window)
     if isinstance(psf, AutomaticPSF):
         raise ValueError("psf is 'auto'; it takes a PSF family such as Disc(): no picture chooses")
     axes = said_axes(stack, axes, channel_axis, "stack")

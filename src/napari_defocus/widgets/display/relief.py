@@ -12,8 +12,9 @@ from napari.layers import Image, Surface
 from numpy.typing import NDArray
 
 from napari_defocus.core.checks import check_confidence, check_number
+from napari_defocus.core.color_range import LEAST_COLOR_LIMIT
 from napari_defocus.optics.mesh import DepthSurface, blur_surface, depth_surface, picture_colors
-from napari_defocus.settings import CONFIDENT, MapSettings
+from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.display.view_state import CameraView, ViewState, show_alone, view_state
 from napari_defocus.widgets.jobs.distances import above, upright
 from napari_defocus.widgets.jobs.estimation import Picture
@@ -215,7 +216,7 @@ def _map_of(plane: Plane, viewer: ViewerModel, heights: str) -> tuple[Image, Pla
 def _largest_scale(layer: Image) -> float:
     """Return the scale, in px, at the upper end of a map's colours, where the relief is 0."""
     largest = float(layer.contrast_limits_range[1])
-    return largest if largest > 0 else MapSettings.max_radius
+    return largest if largest > 0 else LEAST_COLOR_LIMIT
 
 
 def _texture(plane: Plane, confidence: Plane | None, min_confidence: float) -> NDArray[np.uint8]:

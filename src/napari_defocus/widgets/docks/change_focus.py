@@ -10,7 +10,8 @@ from napari.layers import Image, Layer
 from napari.utils.notifications import show_warning
 
 from napari_defocus.core.checks import Linearize
-from napari_defocus.settings import MapSettings, RefocusSettings
+from napari_defocus.core.color_range import LEAST_COLOR_LIMIT
+from napari_defocus.settings import RefocusSettings
 from napari_defocus.widgets.forms.from_map_panel import FromMapPanel
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
 from napari_defocus.widgets.forms.run_panel import wrap
@@ -19,7 +20,6 @@ from napari_defocus.widgets.forms.slider_field import SliderField
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.estimation import LARGEST_RADIUS
 from napari_defocus.widgets.jobs.job import Job
-from napari_defocus.widgets.jobs.map_source import settings_of_map
 from napari_defocus.widgets.jobs.restoration import Refocusing, Restoration
 from napari_defocus.widgets.layers.picker import ClickPicker, value_at
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, Results, layer_of_result
@@ -52,7 +52,7 @@ class ChangeFocusWidget(FromMapPanel):
             name="focus",
             label="focus (px)",
             value=RefocusSettings.focus,
-            largest=MapSettings.max_radius,
+            largest=LEAST_COLOR_LIMIT,
             step=0.1,
             tooltip="What is this much blurred in the picture becomes sharp: a value of the blur "
             "map, in px. 0 keeps the focus where it was.",
@@ -163,10 +163,7 @@ class ChangeFocusWidget(FromMapPanel):
     def _largest_focus(self) -> float:
         layer = self.blur_map.value
         if layer is None:
-            return float(self.settings.max_radius.value)
-        known = settings_of_map(layer)
-        if known is not None:
-            return known.max_radius
+            return LEAST_COLOR_LIMIT
         return float(np.clip(layer.contrast_limits_range[1], 1.0, LARGEST_RADIUS))
 
     def _on_view(self) -> None:

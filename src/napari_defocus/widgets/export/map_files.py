@@ -16,6 +16,7 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
+from napari_defocus.core.color_range import color_limit
 from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_results
 from napari_defocus.io.encoders import (
     blur_map_tiff,
@@ -154,10 +155,11 @@ def read_map(path: str | os.PathLike[str]) -> Image:
         )
     check_unit(description, path)
     made = _made(description, result, Path(path))
-    largest = description.get("max_scale") or _largest_scale(made.get("settings", {}))
+    values = values_in_tiff(path)
+    largest = description.get("max_scale") or color_limit(values)
     placed = description.get("layer", {})
     layer = Image(
-        values_in_tiff(path),
+        values,
         name=placed.get("name") or _usual_name(made, result),
         colormap=COLOR_MAP if result == BLUR_MAP else CONFIDENCE_COLOR_MAP,
         contrast_limits=(0.0, largest if result == BLUR_MAP else 1.0),
@@ -208,7 +210,7 @@ def _encoded(layer: LayerTuple) -> bytes:
     size = _pixel_size(keywords)
     if made["result"] == CONFIDENCE:
         return confidence_tiff(values, settings, made=more, pixel_size=size)
-    more["max_scale"] = _largest_scale(settings, float(max(keywords["contrast_limits"])))
+    more["max_scale"] = float(max(keywords["contrast_limits"]))
     scale = {"scale_name": made["scale"]} if "scale" in made else {}
     return blur_map_tiff(values, settings, **scale, made=more, pixel_size=size)
 
@@ -230,14 +232,6 @@ def _pixel_size(keywords: dict[str, Any]) -> tuple[float, float] | None:
         float((side * unit).to("meter").magnitude) for side, unit in zip(scale, units, strict=True)
     )
     return height, width
-
-
-def _largest_scale(settings: dict[str, Any], otherwise: float = MapSettings.max_radius) -> float:
-    # A lens that was measured is a file, which may be gone.
-    try:
-        return float(MapSettings(**settings).family().max_scale)
-    except (OSError, TypeError, ValueError):
-        return otherwise
 
 
 def _made(description: dict[str, Any], result: str, path: Path) -> dict[str, Any]:

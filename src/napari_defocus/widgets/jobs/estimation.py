@@ -34,7 +34,7 @@ ESTIMATION_SHARE = 0.6
 LARGE = 250_000
 """In px: larger pictures are worked on in another process, as cuts would stop the window."""
 
-LARGEST_RADIUS = 20.0
+LARGEST_RADIUS = 128.0
 """In px: forms let look up to it, and pictures are restored up to it."""
 
 

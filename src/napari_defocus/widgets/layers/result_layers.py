@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from napari_defocus import __version__
 from napari_defocus.core.axes import is_lazy
+from napari_defocus.core.color_range import color_limit
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.measured import MeasuredPSF
@@ -67,8 +68,7 @@ def blur_map_layer(
     noise_variance : float
         The variance that was used, found or given; intensities in [0, 1].
     psf : PSFFamily, optional
-        The family of the settings, if it is at hand; its largest scale is the upper end of the
-        colour range.
+        The family of the settings, if it is at hand.
     intensities : Intensities, optional
         What the variance is measured in.
     """
@@ -78,7 +78,7 @@ def blur_map_layer(
         _noise(noise_variance, intensities) | {"scale": psf.scale_name},
         name=f"blur {scale_prefix(psf.scale_name)}(px)",
         colormap=COLOR_MAP,
-        contrast_limits=(0.0, float(psf.max_scale)),
+        contrast_limits=(0.0, color_limit(blur_map)),
     )
 
 

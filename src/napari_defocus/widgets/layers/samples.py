@@ -7,7 +7,7 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
-from napari_defocus.settings import MapSettings
+from napari_defocus.core.color_range import LEAST_COLOR_LIMIT
 from napari_defocus.widgets.layers.result_layers import COLOR_MAP
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, METADATA_KEY
 
@@ -61,7 +61,7 @@ def _true_map_keywords() -> dict[str, Any]:
     return {
         "name": "simulated ramp true blur (px)",
         "colormap": COLOR_MAP,
-        "contrast_limits": (0.0, MapSettings.max_radius),
+        "contrast_limits": (0.0, LEAST_COLOR_LIMIT),
         "metadata": {METADATA_KEY: {"result": BLUR_MAP, "noise_variance": RAMP_NOISE_VARIANCE}},
     }
 
