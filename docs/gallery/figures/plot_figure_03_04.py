@@ -22,7 +22,7 @@ from napari_defocus.likelihood.profile_likelihood import noise_power
 
 TRUE_RADIUS, NOISE_VARIANCE = 5.0, 1e-7
 WINDOW, REACH = 41, 20
-SCALES = label_scales(Disc())
+SCALES = label_scales(Disc(8.0))
 STRENGTHS = np.geomspace(1e-4, 1, 601)
 DEPTH = 60.0  # how far below its maximum log p is shown
 
@@ -41,7 +41,7 @@ blurred = simulate_defocus(sharp, true_map, noise_variance=NOISE_VARIANCE, rng=0
 
 def log_likelihoods(power, scales, strengths):
     """Evaluate log p of (5) for windows (R, C): (R, C, strengths, scales)."""
-    table = spectrum_table(Disc(), WINDOW, 0.0, 0.0, "exact")
+    table = spectrum_table(Disc(8.0), WINDOW, 0.0, 0.0, "exact")
     noise = noise_power(table, NOISE_VARIANCE)[0]
     variance = strengths[:, None, None] * table.at(scales)[:, 0] + noise
     linear = np.einsum("ijf,slf->ijsl", power[:, :, 0], 1 / variance, optimize=True)

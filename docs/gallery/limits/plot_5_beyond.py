@@ -4,9 +4,9 @@ Blurred by more than the largest radius
 
 What is blurred beyond the domain is some other radius, and the confidence does not say so.
 
-Radii are looked for up to 8 px unless ``Disc(max_radius=...)`` says more. A picture that is
-blurred by more is not reported as 8 px. A photograph still ends near the top of the domain; a
-texture of which nothing is left behind such a blur can end anywhere.
+A picture of 200 x 200 px can tell radii up to 16 px; here ``Disc(8.0)`` says to look for 8 px at most.
+A picture that is blurred by more is not reported as 8 px. A photograph still ends near the top of the
+domain; a texture of which nothing is left behind such a blur can end anywhere.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def measured(sharp, radius):
     """Return percentiles of the map of a uniform blur, and its mean confidence."""
     truth = np.full((200, 200), float(radius))
     seen = simulate_defocus(sharp, truth, psf=Disc(16.0), noise_variance=1e-5, rng=0)
-    blur_map, confidence = estimate_blur_map(seen, return_confidence=True)
+    blur_map, confidence = estimate_blur_map(seen, psf=Disc(8.0), return_confidence=True)
     return [*np.percentile(blur_map, [5, 50, 95]), confidence.mean()]
 
 
@@ -41,6 +41,6 @@ axes[1].set(xlabel="true radius (px)", ylabel="mean confidence", ylim=(0, 1))
 axes[0].legend()
 
 # %%
-# The confidence is a probability under the model, of which the largest radius is a part. If you can
-# see that something is blurred by more, scale the picture down:
+# The confidence is a probability under the model, of which the largest radius is a part. Leave the
+# largest radius as it is, and only small pictures end here:
 # :ref:`sphx_glr_examples_parameters_plot_3_lens.py`.

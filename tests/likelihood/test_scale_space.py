@@ -1,0 +1,127 @@
+"""Blur of any size: levels of averaged pixels, joined to one curve."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+from skimage import data
+
+from napari_defocus import (
+    Disc,
+    Gaussian,
+    KernelFunction,
+    confidence_map,
+    estimate_candidates,
+    explain_pixel,
+    label_blur_map,
+)
+from napari_defocus.likelihood.scale_space import joined_scales, level_count
+
+SIDE = 680
+NOISE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def mosaic():
+    """A sharp picture that is large enough for four levels: (680, 680)."""
+    picture = np.asarray(data.camera(), np.float64) / 255
+    whole = np.block([[picture, picture[:, ::-1]], [picture[::-1], picture[::-1, ::-1]]])
+    return whole[150 : 150 + SIDE, 150 : 150 + SIDE]
+
+
+def blurred(picture, kernel):
+    reach = len(kernel) // 2
+    return fftconvolve(np.pad(picture, reach, mode="reflect"), kernel, mode="valid")
+
+
+def seen(picture):
+    noise = np.random.default_rng(0).normal(0, NOISE**0.5, picture.shape)
+    return (picture + noise).astype(np.float32)
+
+
+@pytest.mark.parametrize("radius", [5.0, 12.0, 20.0, 40.0])
+def test_wide_blur_is_measured_in_px(mosaic, radius):
+    picture = seen(blurred(mosaic, Disc().kernel(radius)))
+    candidates = estimate_candidates(picture)
+    blur_map = label_blur_map(candidates, picture)
+    assert np.median(np.abs(blur_map - radius)) < 0.05 * radius
+    assert np.median(np.abs(candidates.radii[..., 0] - radius)) < 0.05 * radius
+    assert np.median(confidence_map(candidates, blur_map)) > 0.4
+
+
+def test_other_lenses_have_levels_too(mosaic):
+    picture = seen(blurred(mosaic, Gaussian().kernel(20.0)))
+    candidates = estimate_candidates(picture, psf=Gaussian())
+    assert np.median(label_blur_map(candidates, picture)) == pytest.approx(20, rel=0.1)
+
+    def kernel(radius):
+        return Disc().kernel(radius)
+
+    picture = seen(blurred(mosaic, Disc().kernel(14.0)))
+    candidates = estimate_candidates(picture, psf=KernelFunction(kernel, 24.0), search="lattice")
+    assert np.median(label_blur_map(candidates, picture)) == pytest.approx(14, rel=0.06)
+
+
+def test_a_sharp_thing_before_a_wide_blur_is_kept(mosaic):
+    rows, columns = np.indices(mosaic.shape)
+    thing = (rows - 300) ** 2 + (columns - 350) ** 2 < 60**2
+    ground = blurred(np.roll(mosaic, 200, axis=1), Disc().kernel(20.0))
+    picture = seen(np.where(thing, mosaic, ground))
+    blur_map = label_blur_map(estimate_candidates(picture), picture)
+    assert np.mean(blur_map[thing] < 3) > 0.95
+    far = (rows - 300) ** 2 + (columns - 350) ** 2 > 140**2
+    assert np.median(blur_map[far]) == pytest.approx(20, rel=0.1)
+
+
+def test_small_blur_is_what_one_level_says(mosaic):
+    picture = seen(blurred(mosaic, Disc().kernel(2.0))[:400, :400])
+    one, all_ = (
+        label_blur_map(estimate_candidates(picture, psf=psf), picture)
+        for psf in (Disc(8.0), Disc())
+    )
+    assert np.abs(one - all_).mean() < 0.02
+
+
+@dataclass(frozen=True)
+class Largest:
+    """How much a picture of a side tells."""
+
+    side: int
+    radius: float
+
+
+@pytest.mark.parametrize(
+    "case", [Largest(163, 8), Largest(164, 16), Largest(328, 32), Largest(656, 64)], ids=repr
+)
+def test_the_largest_radius_that_is_looked_for_follows_the_picture(case):
+    picture = np.random.default_rng(0).uniform(size=(case.side, 660)).astype(np.float32)
+    candidates = estimate_candidates(picture, stride=16)
+    assert candidates.psf == Disc(case.radius)
+    assert candidates.scales[-1] == pytest.approx(case.radius)
+    assert candidates.curve.shape[2] == len(candidates.scales)
+
+
+def test_a_limit_by_hand_holds(mosaic):
+    picture = seen(blurred(mosaic, Disc().kernel(20.0)))
+    candidates = estimate_candidates(picture, psf=Disc(24.0))
+    assert candidates.scales[-1] == pytest.approx(24, abs=0.4)
+    assert np.median(label_blur_map(candidates, picture)) == pytest.approx(20, rel=0.06)
+
+
+def test_scales_are_finer_where_radii_are_small():
+    scales = joined_scales(64.0, 41, 4)
+    steps = np.diff(scales)
+    np.testing.assert_allclose(scales[[0, 80, 120, 160, 200]], [0, 8, 16, 32, 64])
+    assert (np.diff(steps) > -1e-9).all()
+    assert steps[-1] == pytest.approx(0.8)
+    assert level_count((2000, 100), 41, 64.0) == 1
+
+
+def test_one_pixel_is_explained_by_all_levels(mosaic):
+    picture = seen(blurred(mosaic, Disc().kernel(20.0)))
+    candidates = estimate_candidates(picture)
+    blur_map = label_blur_map(candidates, picture)
+    told = explain_pixel(candidates, 300, 340, blur_map=blur_map, image=picture)
+    assert told.scales[-1] == 64
+    assert told.best == pytest.approx(20, rel=0.15)
