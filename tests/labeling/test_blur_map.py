@@ -14,9 +14,10 @@ from napari_defocus import (
     label_blur_map,
     labeling_energy,
 )
-from napari_defocus.labeling import data_term as evidence
 from napari_defocus.labeling.data_term import KAPPA, artificial_likelihood, data_term
 from napari_defocus.labeling.pairwise_term import Blocks
+from napari_defocus.likelihood.evidence import DEPTH
+from napari_defocus.likelihood.prior import log_prior
 
 TEXTURES = pytest.mark.parametrize("texture", ["grass", "gravel", "clouds"])
 
@@ -269,10 +270,10 @@ def test_data_term_of_windows_without_candidates_is_flat():
 def test_data_term_of_the_curve_is_limited_and_0_at_its_maximum(ramp_picture):
     candidates = estimate_candidates(ramp_picture)
     cost = data_term(candidates)
-    posterior = candidates.curve + evidence.log_prior(candidates)
+    posterior = candidates.curve + log_prior(candidates.scales)
     np.testing.assert_array_equal(cost.argmin(axis=2), posterior.argmax(axis=2))
     assert cost.min() == 0
-    assert cost.max() <= evidence._DEPTH
+    assert cost.max() <= DEPTH
 
 
 def test_blur_map_of_an_unknown_mode_is_a_value_error():
