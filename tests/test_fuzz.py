@@ -18,6 +18,7 @@ WITHOUT_A_RECIPE = {
     # What functions return: never made by users.
     *("BatchReport", "BlurCandidates", "DepthSurface", "FitReport", "FocusCurve", "PSFComparison"),
     *("PSFEvidence", "PixelExplanation", "RegionTable", "SharpestPlane"),
+    "StackAlignment",
     # A protocol, exceptions, and a function whose files are fuzzed through the terminal.
     *("PSFFamily", "Cancelled", "UnreadablePicture", "read_picture"),
 }
