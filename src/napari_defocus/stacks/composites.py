@@ -24,12 +24,16 @@ Float32 = NDArray[np.float32]
 
 
 def put_together(
-    planes: MatchedPlanes, position: Float32, shares: Shares | None, progress: Progress
+    read: PlaneReader, position: Float32, shares: Shares | None, progress: Progress
 ) -> NDArray[Any]:
     """Return the composite at positions: blended by shares, or of the nearest planes' pixels."""
     if shares is None:
-        return pixels_of_planes(planes, position, progress)
-    return blended(planes.read, position, shares, progress)
+        return pixels_of_planes(read.planes, position, progress)
+
+    def luminance(plane: NDArray[Any]) -> Float32:
+        return read.prepared(plane).luminance
+
+    return blended(read.planes.read, luminance, position, shares, progress)
 
 
 def pixels_of_planes(planes: MatchedPlanes, position: Float32, progress: Progress) -> NDArray[Any]:
@@ -69,7 +73,7 @@ def composite_at(
     """Put the planes of a stack together at positions that another one has told.
 
     Such as another channel of the same scene, whose own texture would tell less, or something
-    else. Planes are read one at a time, two or three times each.
+    else. Planes are read one at a time, three to five times each.
 
     Parameters
     ----------
@@ -125,10 +129,10 @@ def composite_at(
         raise ValueError(f"px_per_plane is {px_per_plane}; it takes a finite number above 0")
     lay: Align = False if alignment is None else alignment
     laid = matched(planes, lay, match_brightness, within(progress, 0.0, 0.3))
-    shares = None
+    read, shares = PlaneReader.of(laid, None, None), None
     if blend:
-        shares = _shares_of(laid, float(px_per_plane), psf, within(progress, 0.3, 0.6))
-    return put_together(laid, where, shares, within(progress, 0.6, 1.0))
+        shares = _shares_of(read, float(px_per_plane), psf, within(progress, 0.3, 0.6))
+    return put_together(read, where, shares, within(progress, 0.6, 1.0))
 
 
 def _checked_position(position: ArrayLike, planes: StackPlanes) -> Float32:
@@ -146,10 +150,11 @@ def _checked_position(position: ArrayLike, planes: StackPlanes) -> Float32:
 
 
 def _shares_of(
-    planes: MatchedPlanes, px_per_plane: float, psf: PSFFamily, progress: Progress
+    read: PlaneReader, px_per_plane: float, psf: PSFFamily, progress: Progress
 ) -> Shares:
     """Look at all planes for their details and their noise."""
-    read, most, noise = PlaneReader.of(planes, None, None), Most(levels_for(planes.shape)), []
+    planes = read.planes
+    most, noise = Most(levels_for(planes.shape)), []
     for number in range(len(planes)):
         progress("Reading the planes", number / len(planes))
         picture = read(number)

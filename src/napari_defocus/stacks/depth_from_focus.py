@@ -123,14 +123,14 @@ class RingBank:
         blur = np.einsum("mf,fb->mb", table.value.sum(axis=1), members) / noise
         return cls(rows, columns, window, members, table.scales, blur, noise)
 
-    def power(self, picture: PreparedImage) -> Float32:
+    def power(self, luminance: Float32, opaque: Mask | None = None) -> Float32:
         """Return the local power of a plane in each ring, in units of noise: (R, C, B).
 
         Planes are mirrored outwards, so that each place has a window of its own.
         """
         pad = self.window // 2 + 1
-        luminance = np.pad(picture.luminance, pad, mode="symmetric")
-        opaque = None if picture.opaque is None else np.pad(picture.opaque, pad, mode="symmetric")
+        luminance = np.pad(luminance, pad, mode="symmetric")
+        opaque = None if opaque is None else np.pad(opaque, pad, mode="symmetric")
         gradient = gradients(luminance, opaque, self.window)
         found = np.empty((len(self.rows), len(self.columns), len(self.noise)), np.float32)
         for top in range(0, len(self.rows), _ROWS_AT_ONCE):
@@ -228,6 +228,10 @@ class StackPower:
                     best, least = rate, misfit
             rates = best * _LADDER ** (np.array([-0.5, 0.5]) / 2**halving)
         return float(best)
+
+    def peak(self) -> Float32:
+        """Return the most power of each window, in planes that have a say: (P,)."""
+        return self._peak_and_median()[0]
 
     def excess(self) -> Float64:
         """Return by how much each window's power rises above its median over the planes: (P,).

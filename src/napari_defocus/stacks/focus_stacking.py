@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from napari_defocus.stacks.composites import put_together
 from napari_defocus.stacks.depth_from_focus import RingBank, StackPower, heard_where
 from napari_defocus.stacks.focus_labels import FocusCostVolume, focus_measure
 from napari_defocus.stacks.fusion import Most, Shares, levels_for
+from napari_defocus.stacks.halos import spread_light
 from napari_defocus.stacks.matched_planes import Align, Match, check_align, check_match, matched
 from napari_defocus.stacks.plane_reader import PlaneReader
 from napari_defocus.stacks.planes import StackPlanes
@@ -158,7 +159,7 @@ def sharpest_plane(
     blur map is, see `label_blur_map`, and follow the picture's edges where they jump; where there
     is no texture, they are extrapolated from around.
 
-    Planes are read one at a time, three to five times each, and never all at once.
+    Planes are read one at a time, four to six times each, and never all at once.
 
     Parameters
     ----------
@@ -275,6 +276,8 @@ def sharpest_plane(
     progress("Comparing the planes", 0.5)
     labels_a_plane = int(np.clip(usable / _PX_A_LABEL, 1, _LABELS_A_PLANE))
     positions = np.arange((len(planes) - 1) * labels_a_plane + 1) / labels_a_plane
+    own = positions[power.cost(positions, usable).argmin(axis=1)]
+    power = replace(power, heard=power.heard & ~spread_light(power, own, usable))
     cost = power.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
     blocks = Blocks.around(bank.rows, bank.columns, (height, width))
     excess = power.excess().reshape(cost.shape[:2])
@@ -293,7 +296,7 @@ def sharpest_plane(
     return SharpestPlane(
         position=position,
         plane=plane,
-        composite=put_together(planes, position, shares, within(progress, 0.9, 1.0)),
+        composite=put_together(read, position, shares, within(progress, 0.9, 1.0)),
         confidence=confidence,
         share_of_plane=np.bincount(plane.ravel(), minlength=len(planes)) / plane.size,
         px_per_plane=rate,
@@ -335,7 +338,7 @@ def _read_planes(
         progress("Reading the planes", number / len(planes))
         picture = read(number)
         for found, known, bank in zip(power, shown, banks, strict=True):
-            found.append(bank.power(picture))
+            found.append(bank.power(picture.luminance, picture.opaque))
             known.append(bank.known_share(picture))
         if noise_variance is not None:
             noise.append(noise_variance)

@@ -16,6 +16,10 @@ planes, or coarse details are blurred by neither, several; where no plane shows 
 all, with less noise. S is the most that any plane shows at a place, so that the halo of something
 bright in a plane out of focus is detail, too, and is not averaged in.
 
+Real blur is not quite as the model has it. Of the planes near the position, the one that shows the
+most contrast counts as the least blurred, and the others as blurred at least as their contrast
+says.
+
 Details of a size are the levels of a Laplacian pyramid (Burt and Adelson, 1983); weights of a
 level are smooth there, so that planes go over into each other without a seam. Planes are read one
 at a time, and each adds to the sums of all levels.
@@ -72,6 +76,12 @@ _RADII = 41
 
 _TINY = 1e-12
 
+_NEAR = 1.5
+"""Planes from the position: there the planes' own contrast says which is sharper. By hand."""
+
+_NOT_ALL = np.float32(1 - 1e-6)
+"""Share of the contrast that planes farther away have at most: they are not the sharpest."""
+
 _LEAST_WEIGHT = 1e-6
 """Of a plane without any share: it fills in where no better one is known."""
 
@@ -100,8 +110,8 @@ class Shares:
 
     @cached_property
     def _tables(self) -> list[tuple[Float64, Float64, Float64]]:
-        """Of each level, d of each position and plane, and for each position and S / n, tau and
-        the sum of all weights.
+        """Of each level: how much larger d is than that of the best plane, for each position and
+        plane; and for each position and S / n, the best plane's weight, and by how much it falls.
         """
         positions = np.arange((self.planes - 1) * _POSITIONS_A_PLANE + 1) / _POSITIONS_A_PLANE
         radius = self.px_per_plane * np.abs(np.arange(self.planes) - positions[:, None])
@@ -111,20 +121,40 @@ class Shares:
             lost = 1 - np.interp(radius, scales, of_level)
             tau = np.stack([_tau(lost, ratio) for ratio in _RATIOS], axis=1)
             total = np.maximum(1 - tau[..., None] * lost[:, None], 0).sum(axis=2)
-            tables.append((lost, tau, np.maximum(total, _TINY)))
+            total = np.maximum(total, _TINY)
+            least = lost.min(axis=1, keepdims=True)
+            tables.append((lost - least, (1 - tau * least) / total, tau / total))
         return tables
 
-    def at(self, level: int, plane: int, position: Float32) -> Float32:
-        """Return the weights of a plane in a level, where the best focus is at these positions."""
-        lost, tau, total = self._tables[level]
+    def at(self, level: int, number: int, position: Float32, shown: Float32) -> Float32:
+        """Return the weights of a plane in a level, where the best focus is at these positions.
+
+        `shown` is the share of the contrast of details that the plane shows, against those near
+        the position: where planes are not blurred as the model says, it knows better.
+        """
+        lost, best, slope = self._tables[level]
         noise = max(self.noise_variance, _LEAST_NOISE) * noise_of_levels(len(self.energy))[level]
         ratio = np.maximum(self.energy[level] / noise - _CHANCE, _RATIOS[0])
         row = position * _POSITIONS_A_PLANE
         step = np.log(_RATIOS[1] / _RATIOS[0])
         column = np.clip(np.log(ratio / _RATIOS[0]) / step, 0, len(_RATIOS) - 1)
-        weight = np.maximum(1 - tau * lost[:, plane, None], 0) / total
-        weight = map_coordinates(weight, [row, column], np.float32, order=1, mode="nearest")
-        return np.asarray(weight)
+        of_best, fall = (
+            map_coordinates(table, [row, column], np.float32, order=1, mode="nearest")
+            for table in (best, slope)
+        )
+        more = np.interp(row, np.arange(len(lost)), lost[:, number])
+        more = np.where(shown >= 1, 0, more)
+        return np.maximum(of_best - fall * np.maximum(more, 1 - shown), 0).astype(np.float32)
+
+    def contrast(self, level: int, energy: Float32) -> Float32:
+        """Return the contrast of a level's details, from their energy, without the noise's."""
+        noise = self.noise_variance * noise_of_levels(len(self.energy))[level]
+        return np.sqrt(np.maximum(energy - np.float32(noise), 0))
+
+
+def near(position: Float32, number: int) -> NDArray[np.bool_]:
+    """Return where a plane is so near the position that it may have a share."""
+    return np.abs(position - np.float32(number)) <= _NEAR
 
 
 def _tau(lost: Float64, ratio: float) -> Float64:
@@ -242,36 +272,53 @@ class Most:
 
 def blended(
     read: Callable[[int], NDArray[Any]],
+    prepare: Callable[[NDArray[Any]], Float32],
     position: Float32,
     shares: Shares,
     progress: Progress,
 ) -> NDArray[Any]:
     """Put planes together by their shares: (H, W) or (H, W, C), of their dtype.
 
+    Planes are read twice: for the most contrast near each position, and to be added up.
+
     Parameters
     ----------
     read : callable
         Returns a plane, given its number: (H, W) or (H, W, C), masked or NaN where not known.
+    prepare : callable
+        Returns the luminance of such a plane, in the units of `shares`.
     position : (H, W) float32 ndarray
         Of best focus, in planes from the first.
     shares : Shares
     progress : callable
     """
-    count = len(shares.energy)
+    step, count = "Putting the planes together", len(shares.energy)
     positions = [position[:: 2**level, :: 2**level] for level in range(count)]
+    most = [np.zeros(each.shape, np.float32) for each in positions]
+    for number in range(shares.planes):
+        progress(step, number / shares.planes / 2)
+        for level, energy in enumerate(local_energy(prepare(read(number)), count)):
+            contrast = np.where(near(positions[level], number), shares.contrast(level, energy), 0)
+            np.maximum(most[level], contrast, out=most[level])
     sums: list[Floating] = []
     weights: list[Floating] = []
     seen = np.zeros(position.shape, bool)
     for number in range(shares.planes):
-        progress("Putting the planes together", number / shares.planes)
+        progress(step, 0.5 + number / shares.planes / 2)
         plane = read(number)
         known = known_pixels(plane)
         seen |= True if known is None else known
         details = pyramid(_filled(plane, known), count)
         sums = sums or [np.zeros_like(each) for each in details]
         weights = weights or [np.zeros_like(each[..., 0]) for each in details]
+        energies = local_energy(prepare(plane), count)
         for level, at in enumerate(positions):
-            weight = shares.at(level, number, at)
+            contrast = shares.contrast(level, energies[level])
+            shown = np.divide(
+                contrast, most[level], where=most[level] > 0, out=np.ones_like(contrast)
+            )
+            shown = np.where(near(at, number), shown, np.minimum(shown, _NOT_ALL))
+            weight = shares.at(level, number, at, shown)
             weight = gaussian_filter(weight, _TRANSITION) + np.float32(_LEAST_WEIGHT)
             if known is not None:
                 weight *= known[:: 2**level, :: 2**level]
@@ -281,7 +328,7 @@ def blended(
     for level, weight in enumerate(weights):
         sums[level] /= np.maximum(weight, np.finfo(np.float32).tiny)[..., None]
     picture = assembled(sums).reshape(shape)
-    progress("Putting the planes together", 1.0)
+    progress(step, 1.0)
     composite = cast_to(picture, dtype)
     if not seen.all():
         composite[~seen] = np.nan if dtype.kind == "f" else 0

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
 
 from napari_defocus.core.checks import Linearize
 from napari_defocus.core.image import PreparedImage, checked_range, prepare_image
@@ -34,7 +37,10 @@ class PlaneReader:
 
     def __call__(self, number: int) -> PreparedImage:
         """Read a plane."""
-        plane = self.planes.read(number)
+        return self.prepared(self.planes.read(number))
+
+    def prepared(self, plane: NDArray[Any]) -> PreparedImage:
+        """Make a plane ready that was read."""
         if plane.ndim == 3 and plane.shape[2] == 1:
             plane = plane[..., 0]
         return prepare_image(plane, self.intensity_range, self.linearize)
