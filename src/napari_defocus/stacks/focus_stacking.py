@@ -29,6 +29,7 @@ from napari_defocus.psf.families import Disc, PSFFamily
 from napari_defocus.settings import MapSettings
 from napari_defocus.stacks.alignment import StackAlignment
 from napari_defocus.stacks.composites import put_together
+from napari_defocus.stacks.contrast_peaks import Peak, check_peak, one_peak
 from napari_defocus.stacks.depth_from_focus import RingBank, StackPower, heard_where
 from napari_defocus.stacks.focus_labels import FocusCostVolume, focus_measure
 from napari_defocus.stacks.fusion import Most, Shares, levels_for
@@ -63,6 +64,9 @@ _LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
 """Mean above the darkest places, of the contrast, from which on planes are compared in brightness;
 and by which factor they may differ at most. Chosen by hand.
 """
+
+_FEW_PEAKS = 0.005
+"""Share of the picture: two peaks on less are not told. Chosen by hand."""
 
 _DARKEST = 0.001
 """Quantile of a plane that counts as dark. Chosen by hand."""
@@ -100,8 +104,10 @@ class SharpestPlane:
         else lie as that plane does. None if they were taken as they are.
     gain : (Z,) float64 ndarray
         By how much each plane was brighter than their median, and was divided; 1 if not.
+    two_peaks : (H, W) bool ndarray
+        Where two planes are sharp, with blurred ones between them; `peak` has chosen.
     notes : tuple of str
-        What was found of motion and brightness, and done about it: a sentence each.
+        What was found of motion, brightness and peaks, and done about it: a sentence each.
     """
 
     position: Float32
@@ -114,6 +120,7 @@ class SharpestPlane:
     intensities: Intensities
     alignment: StackAlignment | None
     gain: Float64
+    two_peaks: NDArray[np.bool_]
     notes: tuple[str, ...]
 
     @property
@@ -133,6 +140,7 @@ def sharpest_plane(
     align: Align = "auto",
     match_brightness: Match = "auto",
     blend: bool = True,
+    peak: Peak = "strongest",
     psf: PSFFamily = Disc(),
     noise_variance: float | None = MapSettings.noise_variance,
     window: int = WINDOW,
@@ -190,6 +198,9 @@ def sharpest_plane(
     blend : bool, optional
         Whether the composite is blended of the planes about the position, which averages noise
         and has no seams; or each pixel is that of the nearest plane.
+    peak : {"strongest", "first", "last"}, optional
+        Which plane is meant where two are sharp, with blurred ones between them: something
+        transparent, or one thing before another. The first is that with the lowest number.
     psf : PSFFamily, optional
         The family of PSFs; planes blurred by more than its largest scale count as blurred by
         that much.
@@ -222,10 +233,11 @@ def sharpest_plane(
         If `stack` holds no real numbers; if `channel` or `time` is no whole number; if `align`,
         `match_brightness` or `blend` is of another type.
     ValueError
-        If `align` is an alignment of another number or size of planes; if `stack` has other axes,
-        channels or times of which none is chosen, less than two planes, a side below 3 px, or a
-        plane with infinite values; if `axes` and `channel_axis` do not fit it, or both are given;
-        if `px_per_plane` is not above 0; and as in `estimate_candidates` and `label_blur_map`.
+        If `align` is an alignment of another number or size of planes; if `peak` is unknown; if
+        `stack` has other axes, channels or times of which none is chosen, less than two planes, a
+        side below 3 px, or a plane with infinite values; if `axes` and `channel_axis` do not fit
+        it, or both are given; if `px_per_plane` is not above 0; and as in `estimate_candidates`
+        and `label_blur_map`.
 
     Notes
     -----
@@ -254,6 +266,7 @@ def sharpest_plane(
     check_align(align)
     check_match(match_brightness)
     check_flag("blend", blend)
+    check_peak(peak)
     check_weights(smoothness, color_sigma)
     check_linearize(linearize)
     checked_range(intensity_range)
@@ -267,6 +280,7 @@ def sharpest_plane(
     )
     unit = intensities.unit
     progress("Finding the blur from plane to plane", 0.45)
+    (power, two), (wide, _) = (one_peak(each, peak) for each in (power, wide))
     if px_per_plane is None:
         # What a window mixes, in scale or in frequency, makes the blur seem to grow slower.
         rate = float(np.fmax(power.px_per_plane(), wide.px_per_plane()))
@@ -304,8 +318,15 @@ def sharpest_plane(
         intensities=intensities,
         alignment=planes.alignment,
         gain=np.ones(len(planes)) if planes.exposure is None else planes.exposure.gain,
-        notes=planes.notes,
+        two_peaks=blocks.spread(two.reshape(cost.shape[:2])),
+        notes=planes.notes + _told_peaks(float(two.mean()), peak),
     )
+
+
+def _told_peaks(share: float, peak: Peak) -> tuple[str, ...]:
+    if share < _FEW_PEAKS:
+        return ()
+    return (f"Two planes are sharp on {share:.0%} of the picture; the {peak} was taken there.",)
 
 
 def _check_settings(
