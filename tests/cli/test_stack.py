@@ -73,7 +73,9 @@ def test_alignment_is_saved_used_and_told(tmp_path, planes):
     assert "Planes were aligned: shifts up to 6" in result.stdout
     shift = napari_defocus.StackAlignment.load(kept).shift
     np.testing.assert_allclose(shift[:, 1], 2 * (np.arange(7) - 3), atol=0.2)
-    again = run("sharpest", path, "--use-alignment", kept, "--force", "--json", "--no-blend")
+    again = run(
+        "sharpest", path, "--use-alignment", kept, "--force", "--json", "--composite", "pixels"
+    )
     assert json.loads(again.stdout)["largest_motion_px"] == pytest.approx(6, abs=0.3)
     never = run("sharpest", path, "--align", "no", "--match-brightness", "no", "--force", "--json")
     assert json.loads(never.stdout)["notes"] == []
@@ -84,7 +86,7 @@ def test_alignment_is_saved_used_and_told(tmp_path, planes):
 def test_all_channels_are_put_together_at_the_positions_of_one(tmp_path, small):
     path = written(tmp_path, "ome-tiff", small, "zCyx")
     every = tmp_path / "all.tif"
-    picture, _ = sharpest_of(path, "--channel", 1, "--no-blend", "--all-channels", every)
+    picture, _ = sharpest_of(path, "--channel", 1, "--composite", "pixels", "--all-channels", every)
     found = tifffile.imread(every)
     assert found.shape == (2, 50, 60)
     np.testing.assert_array_equal(found[1], picture)

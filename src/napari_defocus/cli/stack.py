@@ -84,9 +84,9 @@ def _lines(facts: Facts) -> Iterator[str]:
     match_brightness
         Whether planes that a lamp made brighter or darker are made equally bright: auto, if they
         surely differ; yes; no.
-    blend
-        Blend the planes about each position, which averages noise and has no seams; or take each
-        pixel from the nearest plane.
+    composite
+        Blended of the planes about each position, which averages noise and has no seams; or the
+        pixels of the nearest plane.
     peak
         Which plane is meant where two are sharp, as in something transparent: the strongest, the
         first or the last.
@@ -105,7 +105,7 @@ def sharpest(
     use_alignment: Path | None = None,
     save_alignment: Path | None = None,
     match_brightness: Choice = "auto",
-    blend: bool = True,
+    composite: Literal["blended", "pixels"] = "blended",
     peak: Literal["strongest", "first", "last"] = "strongest",
     psf: str = MapSettings.psf,
     noise_variance: float | None = MapSettings.noise_variance,
@@ -161,7 +161,7 @@ def sharpest(
         px_per_plane=px_per_plane,
         align=given,
         match_brightness=_CHOICES[match_brightness],
-        blend=blend,
+        blend=composite == "blended",
         peak=peak,
         psf=family,
         intensity_range=intensity_range,
@@ -174,7 +174,7 @@ def sharpest(
     names = ("image", "channel", "time", "psf", "smoothness", "px_per_plane")
     _write(wanted, source, found, {name: told[name] for name in names}, force)
     if all_channels is not None:
-        at = {"time": time, "blend": blend, "psf": family}
+        at = {"time": time, "blend": composite == "blended", "psf": family}
         _write_channels(all_channels, source, found, at, force, within(progress, 0.7, 1.0))
     if save_alignment is not None:
         laid = found.alignment or napari_defocus.StackAlignment.still(
