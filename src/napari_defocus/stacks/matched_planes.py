@@ -121,7 +121,9 @@ class MatchedPlanes:
     def _lit(self, values: NDArray[Any], number: int) -> NDArray[Any]:
         assert self.exposure is not None
         offset = self.exposure.offset
-        return np.asarray((values - offset) / self.exposure.gain[number] + offset)
+        even = (values - offset) / self.exposure.gain[number] + offset
+        # How much brighter than white clipped light was, nobody knows: it stays white.
+        return np.where(values < _white(self.dtype), even, values)
 
     def _moved(
         self, values: NDArray[Any], known: NDArray[np.bool_] | None, number: int
@@ -143,7 +145,9 @@ class MatchedPlanes:
         if known is not None:
             safe = binary_erosion(known, iterations=_SPLINE_REACH, border_value=1)
             shown &= lay(safe.astype(np.float32), number, order=0) == 1
-        return np.nan_to_num(laid, copy=False), shown
+        # Splines swing beyond the values beside something bright: no pixel was so.
+        low, high = values.min(axis=(0, 1)), values.max(axis=(0, 1))
+        return np.clip(np.nan_to_num(laid, copy=False), low, high), shown
 
 
 _ORDER_OF_OPACITY = 0
@@ -230,7 +234,7 @@ def _measured(
     motions: list[Motion] = []
     pairs: list[Squares] = []
     darkest = np.inf
-    white = float(np.iinfo(planes.dtype).max) if planes.dtype.kind in "ui" else np.inf
+    white = _white(planes.dtype)
     before = None
     for number in range(len(planes)):
         progress(MEASURING, number / len(planes))
@@ -252,6 +256,11 @@ def _measured(
     if not motions:
         return None, exposure
     return alignment_of(motions, (planes.shape[0], planes.shape[1])), exposure
+
+
+def _white(dtype: np.dtype[Any]) -> float:
+    """Return the value at which light is clipped; infinity for floats."""
+    return float(np.iinfo(dtype).max) if dtype.kind in "ui" else np.inf
 
 
 def _luminance(plane: NDArray[Any]) -> Float32:
