@@ -40,9 +40,9 @@ _LEAST_BLOCK, _MOST_BLOCK, _BLOCKS_A_SIDE = 32, 128, 8
 _COARSE_SIDE = 512
 """px: planes with longer sides are first compared at so many. Chosen by hand."""
 
-_FRACTIONS = (1, 20, 20)
-"""To which part of a pixel blocks are asked, round after round; the mean of many blocks is finer.
-Chosen by hand.
+_FIRST, _FRACTIONS = (1,), (20, 20)
+"""To which part of a pixel blocks are asked, round after round, before and after it is known where
+planes lie about; the mean of many blocks is finer. Chosen by hand.
 """
 
 _SPLINE = 3
@@ -128,9 +128,10 @@ def motion_between(first: Float32, second: Float32) -> Motion:
     largest = max(first.shape)
     if largest > _COARSE_SIDE:
         step = -(-largest // _COARSE_SIDE)
-        small = _refined(_shrunk(first, step), _shrunk(second, step), motion)
+        small = _refined(_shrunk(first, step), _shrunk(second, step), motion, _FIRST + _FRACTIONS)
         motion = Motion(small.factor, small.shift * step)
-    return _refined(first, second, motion)
+        return _refined(first, second, motion, _FRACTIONS)
+    return _refined(first, second, motion, _FIRST + _FRACTIONS)
 
 
 def alignment_of(motions: list[Motion], shape: tuple[int, int]) -> StackAlignment | None:
@@ -170,13 +171,13 @@ def _shrunk(plane: Float32, step: int) -> Float32:
     return np.asarray(squares.mean(axis=(1, 3)))
 
 
-def _refined(first: Float32, second: Float32, motion: Motion) -> Motion:
+def _refined(first: Float32, second: Float32, motion: Motion, fractions: tuple[int, ...]) -> Motion:
     """Ask the blocks, several times, for what a motion leaves."""
     side = min(*first.shape, max(_LEAST_BLOCK, min(_MOST_BLOCK, min(first.shape) // 3)))
     slope = np.hanning(side + 2)[1:-1].astype(np.float32)
     window = slope[:, None] * slope
     pattern, known = _details(first)
-    for fraction in _FRACTIONS:
+    for fraction in fractions:
         other, seen = _details(moved(second, motion.factor, motion.shift, _SPLINE))
         places, left, weights = _asked(pattern, other, known & seen, window, fraction)
         if not len(places):
