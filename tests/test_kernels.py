@@ -434,11 +434,14 @@ def test_deviance_of_a_focus_is_that_of_the_best_power_that_planes_have_in_commo
     members = np.array([4, 9], np.float32)
     blur = rng.uniform(0.1, 2, (3, 2, 5)).astype(np.float32)  # positions, rings, planes
     power = (1 + np.array([20, 5])[:, None] * blur[1]) * rng.uniform(0.8, 1.25, (4, 2, 5))
-    deviance, dispersion = _deviances(power.astype(np.float32), blur, members)
+    heard = np.ones((4, 5), bool)
+    heard[3, 0] = False  # whatever it shows
+    power[3, :, 0] = 1e6
+    deviance, dispersion = _deviances(power.astype(np.float32), heard, blur, members)
     strength = np.geomspace(1e-2, 1e3, 1500)
     for window, position in product(range(4), range(3)):
         expected = 1 + strength[:, None, None] * blur[position]
-        ratio = power[window] / expected
+        ratio = (power[window] / expected)[..., heard[window]]
         of_planes = np.minimum(ratio - 1 - np.log(ratio), _MOST_DEVIANCE)
         of_rings = members * of_planes.sum(axis=2)
         least = of_rings.min(axis=0).sum()
@@ -446,7 +449,7 @@ def test_deviance_of_a_focus_is_that_of_the_best_power_that_planes_have_in_commo
         assert deviance[window, position] > least - 1e-2
         assert deviance[window, position] < (1.01 if position == 1 else 1.3) * least + 0.01
     assert (deviance.argmin(axis=1) == 1).all(), "the focus that the planes were made with"
-    degrees = 5 * members.sum()
+    degrees = heard.sum(axis=1) * members.sum()
     fitted = np.maximum(2 * deviance.min(axis=1) / degrees, _LEAST_DISPERSION)
     np.testing.assert_allclose(dispersion, fitted, rtol=1e-5)
 

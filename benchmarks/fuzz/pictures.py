@@ -96,6 +96,8 @@ def _sharpest(rnd: Random) -> Call:
         "axes": "zyxs" if colors else "zyx",
     }
     arguments |= some(rnd, px_per_plane=[0.5, 2], noise_variance=[1e-5], window=[17, 41])
+    arguments |= some(rnd, align=["auto", True, False], match_brightness=["auto", True, False])
+    arguments |= some(rnd, blend=[True, False])
 
     def check(result: Any, given: dict[str, Any]) -> None:
         assert np.isfinite(result.position).all()
@@ -105,6 +107,21 @@ def _sharpest(rnd: Random) -> Call:
 
     # Some stacks show no focus at all.
     return Call(nd.sharpest_plane, arguments, check, fine="px_per_plane" in arguments)
+
+
+@recipe("composite_at")
+def _composite(rnd: Random) -> Call:
+    shape = (rnd.choice([2, 3, 5]), rnd.choice([17, 30]), rnd.choice([17, 33]))
+    stack = odd.typed(rnd, odd.texture(rnd, shape))
+    position = np.random.default_rng(rnd.randrange(99)).uniform(0, shape[0] - 1, shape[1:])
+    arguments = {"position": position, "stack": odd.laid_out(rnd, stack), "axes": "zyx"}
+    arguments |= some(rnd, match_brightness=["auto", True, False], blend=[True, False])
+
+    def check(result: Any, given: dict[str, Any]) -> None:
+        assert result.shape == given["position"].shape
+        assert result.dtype == given["stack"].dtype
+
+    return Call(nd.composite_at, arguments, check)
 
 
 @recipe("focus_curve")

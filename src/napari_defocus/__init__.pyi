@@ -142,6 +142,12 @@ from .psf.parsing import (
 from .restoration.refocusing import (
     change_focus as change_focus,
 )
+from .stacks.alignment import (
+    StackAlignment as StackAlignment,
+)
+from .stacks.composites import (
+    composite_at as composite_at,
+)
 from .stacks.focus_curve import (
     FocusCurve as FocusCurve,
 )

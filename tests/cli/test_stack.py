@@ -64,6 +64,38 @@ def test_json_tells_the_planes_and_given_px_are_used(stack):
     assert facts["files"] == [str(output)]
 
 
+def test_alignment_is_saved_used_and_told(tmp_path, planes):
+    path, kept = tmp_path / "worm.tif", tmp_path / "lain.json"
+    moved = np.stack([np.roll(plane, 2 * number, axis=1) for number, plane in enumerate(planes)])
+    tifffile.imwrite(path, moved[:, :, 16:], metadata={"axes": "ZYX"})
+    result = run("sharpest", path, "--save-alignment", kept)
+    assert result.exit_code == 0, result.output
+    assert "Planes were aligned: shifts up to 6" in result.stdout
+    shift = napari_defocus.StackAlignment.load(kept).shift
+    np.testing.assert_allclose(shift[:, 1], 2 * (np.arange(7) - 3), atol=0.2)
+    again = run(
+        "sharpest", path, "--use-alignment", kept, "--force", "--json", "--composite", "pixels"
+    )
+    assert json.loads(again.stdout)["largest_motion_px"] == pytest.approx(6, abs=0.3)
+    never = run("sharpest", path, "--align", "no", "--match-brightness", "no", "--force", "--json")
+    assert json.loads(never.stdout)["notes"] == []
+    both = run("sharpest", path, "--align", "no", "--use-alignment", kept, "--force")
+    assert_fails_in_one_line(both, saying="are both given; it takes one")
+
+
+def test_all_channels_are_put_together_at_the_positions_of_one(tmp_path, small):
+    path = written(tmp_path, "ome-tiff", small, "zCyx")
+    every = tmp_path / "all.tif"
+    picture, _ = sharpest_of(path, "--channel", 1, "--composite", "pixels", "--all-channels", every)
+    found = tifffile.imread(every)
+    assert found.shape == (2, 50, 60)
+    np.testing.assert_array_equal(found[1], picture)
+    flat = tmp_path / "flat.tif"
+    tifffile.imwrite(flat, small, metadata={"axes": "ZYX"})
+    result = run("sharpest", flat, "--all-channels", every, "--force")
+    assert_fails_in_one_line(result, saying="has no channels")
+
+
 @pytest.mark.parametrize(
     ("arguments", "saying"),
     [

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import napari_defocus
 from napari_defocus.cli.command import Facts, command, last_lines
 from napari_defocus.cli.description import intensity_facts, intensity_lines
 from napari_defocus.cli.results import beside, check_endings
 from napari_defocus.core.checks import Linearize
-from napari_defocus.core.progress import Progress
+from napari_defocus.core.progress import Progress, within
+from napari_defocus.io.provenance import SHARPEST_PIXELS
 from napari_defocus.psf import AUTO
 from napari_defocus.settings import CONFIDENT, MapSettings
 
 if TYPE_CHECKING:
     from napari_defocus.io.open import Source
     from napari_defocus.stacks.focus_stacking import SharpestPlane
+    from napari_defocus.stacks.matched_planes import Align
+
+Choice = Literal["auto", "yes", "no"]
+
+_CHOICES: dict[Choice, Literal["auto"] | bool] = {"auto": "auto", "yes": True, "no": False}
 
 
 def _lines(facts: Facts) -> Iterator[str]:
@@ -31,6 +37,8 @@ def _lines(facts: Facts) -> Iterator[str]:
     if facts["focus_note"]:
         yield f"focus        {facts['focus_note']}"
     yield from intensity_lines(facts)
+    for note in facts["notes"]:
+        yield f"planes       {note}"
     if facts["px_per_plane"] is None:
         yield "blur         no texture to find by how much it grows from plane to plane"
     else:
@@ -67,6 +75,25 @@ def _lines(facts: Facts) -> Iterator[str]:
     px_per_plane PX
         By how many px the radius of the blur grows from plane to plane. It is found from the stack
         if left out.
+    align
+        Whether planes that drift, turn or are magnified are laid on the middle one first: auto, if
+        motion is surely there; yes, always; no, never.
+    use_alignment FILE
+        An alignment that --save-alignment wrote, of this stack or of another channel, instead.
+    save_alignment FILE
+        Where to write how the planes lay on the middle one (.json).
+    match_brightness
+        Whether planes that a lamp made brighter or darker are made equally bright: auto, if they
+        surely differ; yes; no.
+    composite
+        Blended of the planes about each position, which averages noise and has no seams; or the
+        pixels of the nearest plane.
+    peak
+        Which plane is meant where two are sharp, as in something transparent: the strongest, the
+        first or the last.
+    all_channels PATH
+        Where to write a picture of every channel (.tif), put together at the positions that
+        --channel has told.
     """,
 )
 def sharpest(
@@ -75,6 +102,12 @@ def sharpest(
     channel: int | None = None,
     time: int | None = None,
     px_per_plane: float | None = None,
+    align: Choice = "auto",
+    use_alignment: Path | None = None,
+    save_alignment: Path | None = None,
+    match_brightness: Choice = "auto",
+    composite: Literal["blended", "pixels"] = "blended",
+    peak: Literal["strongest", "first", "last"] = "strongest",
     psf: str = MapSettings.psf,
     noise_variance: float | None = MapSettings.noise_variance,
     max_radius: float = MapSettings.max_radius,
@@ -85,6 +118,7 @@ def sharpest(
     output: Path | None = None,
     position: Path | None = None,
     confidence: Path | None = None,
+    all_channels: Path | None = None,
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -102,10 +136,16 @@ def sharpest(
     family = MapSettings(psf=psf, max_radius=max_radius, **shaping).family()
     if psf == AUTO:
         raise ValueError("psf is 'auto', which only maps take; it takes a lens such as disc")
-    check_endings([path for path in (output, position, confidence) if path], ".tif", ".tiff")
+    pictures = (output, position, confidence, all_channels)
+    check_endings([path for path in pictures if path], ".tif", ".tiff")
+    if save_alignment is not None:
+        check_endings([save_alignment], ".json")
+    given = _given_alignment(use_alignment, align)
     source = open_stack(stack)
+    if all_channels is not None and "c" not in source.axes:
+        raise ValueError(f"--all-channels: {source.path} has no channels")
     wanted = (output or _usual_output(source), position, confidence)
-    outputs = [path for path in wanted if path]
+    outputs = [path for path in (*wanted, all_channels, save_alignment) if path]
     focus = focus_axis(
         source.data.shape,
         source.axes,
@@ -122,9 +162,13 @@ def sharpest(
         channel=channel,
         time=time,
         px_per_plane=px_per_plane,
+        align=given,
+        match_brightness=_CHOICES[match_brightness],
+        blend=composite == "blended",
+        peak=peak,
         psf=family,
         intensity_range=intensity_range,
-        progress=progress,
+        progress=within(progress, 0.0, 0.7 if all_channels else 1.0),
         **shaping,
     )
     facts = _facts(source, found, outputs) | {"channel": channel, "time": time}
@@ -132,7 +176,53 @@ def sharpest(
     told = facts | {"psf": psf, "smoothness": smoothness}
     names = ("image", "channel", "time", "psf", "smoothness", "px_per_plane")
     _write(wanted, source, found, {name: told[name] for name in names}, force)
+    if all_channels is not None:
+        at = {"time": time, "blend": composite == "blended", "psf": family}
+        _write_channels(all_channels, source, found, at, force, within(progress, 0.7, 1.0))
+    if save_alignment is not None:
+        laid = found.alignment or napari_defocus.StackAlignment.still(
+            (facts["height"], facts["width"]), facts["planes"]
+        )
+        laid.save(save_alignment, force=force)
     return facts
+
+
+def _given_alignment(path: Path | None, align: Choice) -> Align:
+    """Return the alignment of a file, or the choice."""
+    if path is None:
+        return _CHOICES[align]
+    if align != "auto":
+        raise ValueError(f"--align {align} and --use-alignment are both given; it takes one")
+    return napari_defocus.StackAlignment.load(path)
+
+
+def _write_channels(
+    path: Path,
+    source: Source,
+    found: SharpestPlane,
+    at: dict[str, Any],
+    force: bool,
+    progress: Progress,
+) -> None:
+    """Write what `composite_at` makes of each channel."""
+    import numpy as np
+
+    count = source.data.shape[source.axes.index("c")]
+    rate = found.px_per_plane if np.isfinite(found.px_per_plane) else 1.0
+    pictures = [
+        napari_defocus.composite_at(
+            found.position,
+            source.data,
+            axes=source.axes,
+            channel=number,
+            alignment=found.alignment,
+            px_per_plane=rate,
+            progress=within(progress, number / count, (number + 1) / count),
+            **at,
+        )
+        for number in range(count)
+    ]
+    _write_picture(path, np.stack(pictures), "cyx", SHARPEST_PIXELS, "", source, {}, force)
 
 
 def _usual_output(source: Source) -> Path:
@@ -150,9 +240,6 @@ def _write(
     made_with: dict[str, Any],
     force: bool,
 ) -> None:
-    from napari_defocus.io.provenance import SHARPEST_PIXELS
-    from napari_defocus.io.tiff_writer import write_pyramidal_tiff
-
     colors = "s" if source.axes.endswith("s") else ""
     results = (
         (found.composite, f"yx{colors}", SHARPEST_PIXELS, ""),
@@ -161,15 +248,30 @@ def _write(
     )
     for path, (values, axes, quantity, unit) in zip(outputs, results, strict=True):
         if path is not None:
-            write_pyramidal_tiff(
-                path,
-                values,
-                axes=axes,
-                pixel_size={axis: size for axis, size in source.pixel_size.items() if axis in "yx"},
-                units={axis: unit for axis, unit in source.units.items() if axis in "yx"},
-                description={"quantity": quantity, "unit": unit, "settings": made_with},
-                force=force,
-            )
+            _write_picture(path, values, axes, quantity, unit, source, made_with, force)
+
+
+def _write_picture(
+    path: Path,
+    values: Any,
+    axes: str,
+    quantity: str,
+    unit: str,
+    source: Source,
+    made_with: dict[str, Any],
+    force: bool,
+) -> None:
+    from napari_defocus.io.tiff_writer import write_pyramidal_tiff
+
+    write_pyramidal_tiff(
+        path,
+        values,
+        axes=axes,
+        pixel_size={axis: size for axis, size in source.pixel_size.items() if axis in "yx"},
+        units={axis: unit for axis, unit in source.units.items() if axis in "yx"},
+        description={"quantity": quantity, "unit": unit, "settings": made_with},
+        force=force,
+    )
 
 
 def _facts(source: Source, found: SharpestPlane, outputs: list[Path]) -> dict[str, Any]:
@@ -189,5 +291,9 @@ def _facts(source: Source, found: SharpestPlane, outputs: list[Path]) -> dict[st
         "best_plane": found.best,
         "share_of_plane": found.share_of_plane.tolist(),
         "confident_percent": 100.0 * float((found.confidence >= CONFIDENT).mean()),
+        "notes": list(found.notes),
+        "gain": found.gain.tolist(),
+        "largest_motion_px": found.alignment.largest_motion if found.alignment else 0.0,
+        "two_peaks_percent": 100.0 * float(found.two_peaks.mean()),
         "files": [str(path) for path in outputs],
     }

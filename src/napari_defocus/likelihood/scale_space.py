@@ -14,8 +14,10 @@ Levels do not say the same, and not all that they say is true:
   than a white spectrum has. So all scales up to 3 px of level 1 (2 px of others) are one class.
 - Windows of coarse levels are wide, and the sharper side wins in them: where a level says "little"
   and the finer one "much", the finer one, which sees less of its surroundings, is right.
-- Where the finer levels say "little" all around, something sharp is before a blurred ground: the
-  coarser levels have no say. Where only some of their windows do, it is chance, and loses its say.
+- Where the finer levels say "little" all around, and the window of a coarse level does not deny it,
+  something sharp is before a blurred ground: the level has no say. If its window says "much", what
+  looks sharp is noise, as scenes have details of all sizes. Where only some windows of the finer
+  levels say "little", it is chance. Both lose their say.
 """
 
 from __future__ import annotations
@@ -168,7 +170,7 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
     anything = unit * _ANYTHING
     total = _on_axis(before, 1, scales, finest.scales, anything)
     octaves = np.zeros(total.shape[:2], np.float32)
-    free = np.ones_like(octaves)
+    closed = np.zeros_like(octaves)
     fine = levels[0]
     for number, level in enumerate(levels[1:], 1):
         little = unit * (_LITTLE_OF_FIRST if number == 1 else _LITTLE)
@@ -179,9 +181,15 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
         )
         if fine.side > 1:
             around = _between(around, *fine.places(*at))
-        says_little = _share_below(plain, level.candidates.scales, little, prior=False)
-        here = _between(np.stack([evidence_share(own), says_little], axis=2), *level.places(*at))
-        free = np.minimum(free, np.clip((_ALL - around[..., 0]) / (_ALL - _SOME), 0, 1))
+        axis = level.candidates.scales
+        shares = (
+            evidence_share(own),
+            _share_below(plain, axis, little, prior=False),
+            _share_below(limited_below_top(level.candidates.curve), axis, little, prior=False),
+        )
+        here = _between(np.stack(shares, axis=2), *level.places(*at))
+        closed = np.maximum(closed, np.clip((around[..., 0] - _SOME) / (_ALL - _SOME), 0, 1))
+        free = 1 - closed * here[..., 2]
         much = here[..., 0] * free * (1 - here[..., 1])
         spilled = here[..., 1] * np.minimum(np.float32(1.5) * around[..., 1], 1)
         gain = _SAY * here[..., 0] * free * (1 - spilled)

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
@@ -33,6 +34,7 @@ from napari_defocus.psf.families import PSFFamily
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
+Mask = NDArray[np.bool_]
 
 _RING_WIDTH = np.sqrt(2)
 """Cycles a window, of a ring of frequencies. Chosen by hand."""
@@ -53,6 +55,9 @@ _MOST_DEVIANCE = np.float32(3)
 
 _LEAST_DISPERSION = np.float32(0.05)
 """Of a window: no fit is trusted beyond. Chosen by hand."""
+
+_ENOUGH = np.float32(0.9)
+"""Of what the best plane knows of a window, planes need so much to have a say. Chosen by hand."""
 
 _ROWS_AT_ONCE = 64
 """Of windows. Results do not depend on it."""
@@ -118,14 +123,14 @@ class RingBank:
         blur = np.einsum("mf,fb->mb", table.value.sum(axis=1), members) / noise
         return cls(rows, columns, window, members, table.scales, blur, noise)
 
-    def power(self, picture: PreparedImage) -> Float32:
+    def power(self, luminance: Float32, opaque: Mask | None = None) -> Float32:
         """Return the local power of a plane in each ring, in units of noise: (R, C, B).
 
         Planes are mirrored outwards, so that each place has a window of its own.
         """
         pad = self.window // 2 + 1
-        luminance = np.pad(picture.luminance, pad, mode="symmetric")
-        opaque = None if picture.opaque is None else np.pad(picture.opaque, pad, mode="symmetric")
+        luminance = np.pad(luminance, pad, mode="symmetric")
+        opaque = None if opaque is None else np.pad(opaque, pad, mode="symmetric")
         gradient = gradients(luminance, opaque, self.window)
         found = np.empty((len(self.rows), len(self.columns), len(self.noise)), np.float32)
         for top in range(0, len(self.rows), _ROWS_AT_ONCE):
@@ -133,6 +138,21 @@ class RingBank:
             power = local_power(gradient, self.rows[block] + pad, self.columns + pad, self.window)
             found[block] = np.einsum("rcf,fb->rcb", power.sum(axis=2), self.members) / self.noise
         return found
+
+    def known_share(self, picture: PreparedImage) -> Float32:
+        """Return which share of each window is known in a plane: (R, C)."""
+        shape = len(self.rows), len(self.columns)
+        if picture.opaque is None:
+            return np.ones(shape, np.float32)
+        share = uniform_filter(picture.opaque.astype(np.float32), self.window)
+        rows, columns = (np.rint(at).astype(int) for at in (self.rows, self.columns))
+        return np.asarray(share[np.ix_(rows, columns)])
+
+
+def heard_where(shares: list[Float32]) -> Mask:
+    """Return where planes have a say, (P, Z): where they know about as much as any plane does."""
+    share = np.stack([each.ravel() for each in shares], axis=1)
+    return share >= _ENOUGH * share.max(axis=1, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +168,15 @@ class StackPower:
         Of all planes.
     gain : (Z,) float64 ndarray
         How bright each plane is, against the others.
+    heard : (P, Z) bool ndarray
+        False where a plane shows nothing, or nothing of the window's own: it has no say there.
     """
 
     power: Float32
     bank: RingBank
     noise_variance: float
     gain: Float64
+    heard: Mask
 
     @classmethod
     def of(
@@ -162,6 +185,7 @@ class StackPower:
         bank: RingBank,
         noise_variance: float,
         gain: Float64,
+        heard: Mask,
         unit: float = 1.0,
     ) -> StackPower:
         """Join what `RingBank.power` has found in each plane; `unit` is that of `Intensities`."""
@@ -169,7 +193,7 @@ class StackPower:
         power = np.empty((planes[0][..., 0].size, planes[0].shape[2], len(planes)), np.float32)
         for number, plane in enumerate(planes):
             power[..., number] = plane.reshape(len(power), -1) / np.float32(variance)
-        return cls(power, bank, variance, gain)
+        return cls(power, bank, variance, gain, heard)
 
     def cost(self, positions: Float64, px_per_plane: float) -> Float32:
         """Return what a best focus at each position costs at each window: (P, L).
@@ -177,7 +201,7 @@ class StackPower:
         In units of log-likelihood, divided by the dispersion of each window: its mean deviance
         for the best position against that of the exponential distribution.
         """
-        cost, dispersion = self._deviance(self.power, positions, px_per_plane)
+        cost, dispersion = self._deviance(self.power, self.heard, positions, px_per_plane)
         cost /= dispersion[:, None]
         return cost
 
@@ -187,7 +211,7 @@ class StackPower:
         The width of the peak that each ring's power has along the planes tells it: the rate with
         the least deviance over the windows with the most texture, from a ladder of rates.
         """
-        power = self._some_with_texture()
+        power, heard = self._some_with_texture()
         if not len(power):
             return float("nan")
         planes = power.shape[2]
@@ -199,35 +223,55 @@ class StackPower:
         best, least = rates[0], np.inf
         for halving in range(_HALVINGS + 1):
             for rate in rates:
-                misfit = float(self._deviance(power, positions, rate)[0].min(axis=1).sum())
+                misfit = float(self._deviance(power, heard, positions, rate)[0].min(axis=1).sum())
                 if misfit < least:
                     best, least = rate, misfit
             rates = best * _LADDER ** (np.array([-0.5, 0.5]) / 2**halving)
         return float(best)
+
+    def peak(self) -> Float32:
+        """Return the most power of each window, in planes that have a say: (P,)."""
+        return self._peak_and_median()[0]
 
     def excess(self) -> Float64:
         """Return by how much each window's power rises above its median over the planes: (P,).
 
         In units of the noise's, the mean over all frequencies: noise alone gives 0.4 to 0.9.
         """
-        mean = self._mean_power()
-        return np.asarray(mean.max(axis=1) - np.median(mean, axis=1))
+        peak, usual = self._peak_and_median()
+        return np.asarray(peak - usual)
 
-    def _mean_power(self) -> Float32:
+    def mean_power(self) -> Float32:
+        """Return the power of each window in each plane, the mean over all frequencies: (P, Z)."""
         members = self.bank.members.sum(axis=0)
         return np.einsum("pbz,b->pz", self.power, members / members.sum())
 
-    def _some_with_texture(self) -> Float32:
-        """Return the power of windows that show much more in some plane than in most: (p, B, Z)."""
-        mean = self._mean_power()
-        peak, usual = mean.max(axis=1), np.median(mean, axis=1)
+    def _peak_and_median(self) -> tuple[Float32, Float32]:
+        """Return the largest and the median power of each window, of planes that have a say."""
+        mean = self.mean_power()
+        if self.heard.all():
+            return mean.max(axis=1), np.median(mean, axis=1)
+        count = np.maximum(self.heard.sum(axis=1), 1)
+        ordered = np.sort(np.where(self.heard, mean, np.inf), axis=1)
+        ordered = np.where(np.isfinite(ordered), ordered, 0)
+        rows = np.arange(len(ordered))
+        middle = (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2
+        return ordered[rows, count - 1], middle
+
+    def _some_with_texture(self) -> tuple[Float32, Mask]:
+        """Return the power of windows that show much more in some plane than in most: (p, B, Z).
+
+        And which planes have a say there.
+        """
+        peak, usual = self._peak_and_median()
         shown = np.flatnonzero((peak > _LEAST_PEAK) & (peak > _LEAST_RISE * usual))
         if len(shown) < _FEWEST_WINDOWS:
-            return self.power[:0]
-        return self.power[shown[:: max(1, len(shown) // _WINDOWS_FOR_RATE)]]
+            return self.power[:0], self.heard[:0]
+        some = shown[:: max(1, len(shown) // _WINDOWS_FOR_RATE)]
+        return self.power[some], self.heard[some]
 
     def _deviance(
-        self, power: Float32, positions: Float64, px_per_plane: float
+        self, power: Float32, heard: Mask, positions: Float64, px_per_plane: float
     ) -> tuple[Float32, Float32]:
         radius = px_per_plane * np.abs(np.arange(len(self.gain)) - positions[:, None])
         rings = range(self.bank.blur.shape[1])
@@ -237,25 +281,33 @@ class StackPower:
         )
         blur *= self.gain**2 / self.noise_variance
         members = self.bank.members.sum(axis=0)
-        return _deviances(power, blur.astype(np.float32), members)
+        return _deviances(power, heard, blur.astype(np.float32), members)
 
 
-def _deviances(power: Float32, blur: Float32, members: Float32) -> tuple[Float32, Float32]:
+def _deviances(
+    power: Float32, heard: Mask, blur: Float32, members: Float32
+) -> tuple[Float32, Float32]:
     """Return the deviance for every position, (P, L), and the dispersion of every window, (P,).
 
     `blur`, (L, B, Z), is what a power of 1 would show, in units of noise, if a place were in
     focus at each position. Every ring's own power is found by least squares, then by scoring.
     """
     deviance = np.empty((len(power), len(blur)), np.float32)
-    in_bands(_deviances_of, len(power), power, blur, members, deviance)
-    degrees = np.float32(power.shape[2]) * members.sum()
+    in_bands(_deviances_of, len(power), power, heard, blur, members, deviance)
+    degrees = np.maximum(heard.sum(axis=1, dtype=np.float32), np.float32(1)) * members.sum()
     dispersion = np.maximum(np.float32(2) * deviance.min(axis=1) / degrees, _LEAST_DISPERSION)
     return deviance, dispersion.astype(np.float32)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _deviances_of(
-    start: int, stop: int, power: Float32, blur: Float32, members: Float32, deviance: Float32
+    start: int,
+    stop: int,
+    power: Float32,
+    heard: Mask,
+    blur: Float32,
+    members: Float32,
+    deviance: Float32,
 ) -> None:
     _, rings, planes = power.shape
     one, zero = np.float32(1), np.float32(0)
@@ -263,8 +315,10 @@ def _deviances_of(
         for position in range(blur.shape[0]):
             total = zero
             for ring in range(rings):
-                strength = _strength(power, blur, window, position, ring)
+                strength = _strength(power, heard, blur, window, position, ring)
                 for plane in range(planes):
+                    if not heard[window, plane]:
+                        continue
                     expected = one + strength * blur[position, ring, plane]
                     ratio = max(power[window, ring, plane], _LEAST_POWER) / expected
                     total += members[ring] * min(ratio - one - np.log(ratio), _MOST_DEVIANCE)
@@ -272,12 +326,16 @@ def _deviances_of(
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def _strength(power: Float32, blur: Float32, window: int, position: int, ring: int) -> np.float32:
+def _strength(
+    power: Float32, heard: Mask, blur: Float32, window: int, position: int, ring: int
+) -> np.float32:
     """Find the power that planes have in common: least squares, then Fisher scoring."""
     one, zero, strength = np.float32(1), np.float32(0), np.float32(0)
     for scoring in range(_SCORING_ROUNDS + 1):
         product, square = zero, _TINY
         for plane in range(power.shape[2]):
+            if not heard[window, plane]:
+                continue
             shown = blur[position, ring, plane]
             expected = one + strength * shown if scoring else one
             weight = shown / (expected * expected)

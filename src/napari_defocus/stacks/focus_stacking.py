@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,23 +12,30 @@ from numpy.typing import NDArray
 from napari_defocus.core.axes import said_axes
 from napari_defocus.core.checks import (
     Linearize,
+    check_flag,
     check_linearize,
     check_noise_variance,
     check_real,
     check_stride,
     check_weights,
 )
-from napari_defocus.core.image import PreparedImage, checked_range, prepare_image
-from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, needs_limits
-from napari_defocus.core.known_pixels import limits_of
+from napari_defocus.core.image import checked_range
+from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.exact_spectra import within_window
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
 from napari_defocus.settings import MapSettings
-from napari_defocus.stacks.depth_from_focus import RingBank, StackPower
+from napari_defocus.stacks.alignment import StackAlignment
+from napari_defocus.stacks.composites import put_together
+from napari_defocus.stacks.contrast_peaks import Peak, check_peak, one_peak
+from napari_defocus.stacks.depth_from_focus import RingBank, StackPower, heard_where
 from napari_defocus.stacks.focus_labels import FocusCostVolume, focus_measure
+from napari_defocus.stacks.fusion import Most, Shares, levels_for
+from napari_defocus.stacks.halos import spread_light
+from napari_defocus.stacks.matched_planes import Align, Match, check_align, check_match, matched
+from napari_defocus.stacks.plane_reader import PlaneReader
 from napari_defocus.stacks.planes import StackPlanes
 
 Float32 = NDArray[np.float32]
@@ -58,6 +65,9 @@ _LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
 and by which factor they may differ at most. Chosen by hand.
 """
 
+_FEW_PEAKS = 0.005
+"""Share of the picture: two peaks on less are not told. Chosen by hand."""
+
 _DARKEST = 0.001
 """Quantile of a plane that counts as dark. Chosen by hand."""
 
@@ -73,7 +83,8 @@ class SharpestPlane:
     plane : (H, W) int32 ndarray
         The nearest whole plane.
     composite : (H, W) or (H, W, C) ndarray
-        Each pixel from that plane, in the stack's dtype: all in focus.
+        All in focus, in the stack's dtype: planes blended by position and detail, or each pixel
+        from `plane`.
     confidence : (H, W) float32 ndarray
         Probability that `position` is within half a plane of the true one, from 0 to 1. Where
         no plane shows any texture it is low: positions are extrapolated from around.
@@ -88,6 +99,15 @@ class SharpestPlane:
         Of the luminance, intensities in [0, 1], given or found.
     intensities : Intensities
         Which intensities of all planes are 0 and 1, and the contrast of the sharpest pixels.
+    alignment : StackAlignment or None
+        How the planes lay on the middle one, and were moved back; positions, composite and all
+        else lie as that plane does. None if they were taken as they are.
+    gain : (Z,) float64 ndarray
+        By how much each plane was brighter than their median, and was divided; 1 if not.
+    two_peaks : (H, W) bool ndarray
+        Where two planes are sharp, with blurred ones between them; `peak` has chosen.
+    notes : tuple of str
+        What was found of motion, brightness and peaks, and done about it: a sentence each.
     """
 
     position: Float32
@@ -98,6 +118,10 @@ class SharpestPlane:
     px_per_plane: float
     noise_variance: float
     intensities: Intensities
+    alignment: StackAlignment | None
+    gain: Float64
+    two_peaks: NDArray[np.bool_]
+    notes: tuple[str, ...]
 
     @property
     def best(self) -> int:
@@ -113,6 +137,10 @@ def sharpest_plane(
     channel: int | None = None,
     time: int | None = None,
     px_per_plane: float | None = None,
+    align: Align = "auto",
+    match_brightness: Match = "auto",
+    blend: bool = True,
+    peak: Peak = "strongest",
     psf: PSFFamily = Disc(),
     noise_variance: float | None = MapSettings.noise_variance,
     window: int = WINDOW,
@@ -139,12 +167,12 @@ def sharpest_plane(
     blur map is, see `label_blur_map`, and follow the picture's edges where they jump; where there
     is no texture, they are extrapolated from around.
 
-    Planes are read one at a time, two to four times each, and never all at once.
+    Planes are read one at a time, four to six times each, and never all at once.
 
     Parameters
     ----------
     stack : (Z, H, W) or (Z, H, W, 3) or (Z, H, W, 4) array_like
-        Two planes or more, in order, aligned with each other; numpy, dask, zarr, or anything
+        Two planes or more, in order; numpy, dask, zarr, or anything
         else with a shape, a dtype and planes by index. Any real dtype, see
         `estimate_candidates`; all planes have the range of all. A fourth channel is opacity;
         pixels that are NaN or masked are not known. Axes of length 1 do not count.
@@ -158,6 +186,21 @@ def sharpest_plane(
         Which one along c and t to take, from 0; needed if there are several.
     px_per_plane : float, optional
         k, by how many px the radius grows from plane to plane. By default it is found.
+    align : "auto", bool or StackAlignment, optional
+        Whether planes that have shifted, turned or been magnified (a lens that breathes) are laid
+        on the middle one first: "auto", if motion is surely there (four standard errors, and
+        0.35 px); always; or never. Or an alignment that was found before, of this stack or of
+        another channel. Motion is measured from plane to plane, up to some 10 px and some
+        percent a plane. Planes are interpolated once, by splines of order 5.
+    match_brightness : "auto" or bool, optional
+        Whether planes that a lamp made brighter or darker (by a factor of 2 at most) are made as
+        bright as their median: "auto", if they surely differ by more than 0.5 %.
+    blend : bool, optional
+        Whether the composite is blended of the planes about the position, which averages noise
+        and has no seams; or each pixel is that of the nearest plane.
+    peak : {"strongest", "first", "last"}, optional
+        Which plane is meant where two are sharp, with blurred ones between them: something
+        transparent, or one thing before another. The first is that with the lowest number.
     psf : PSFFamily, optional
         The family of PSFs; planes blurred by more than its largest scale count as blurred by
         that much.
@@ -187,19 +230,20 @@ def sharpest_plane(
     Raises
     ------
     TypeError
-        If `stack` holds no real numbers; if `channel` or `time` is no whole number.
+        If `stack` holds no real numbers; if `channel` or `time` is no whole number; if `align`,
+        `match_brightness` or `blend` is of another type.
     ValueError
-        If `stack` has other axes, channels or times of which none is chosen, less than two
-        planes, a side below 3 px, or a plane with infinite values; if `axes` and `channel_axis`
-        do not fit it, or both are given; if `px_per_plane` is not above 0; and as in
-        `estimate_candidates` and `label_blur_map`.
+        If `align` is an alignment of another number or size of planes; if `peak` is unknown; if
+        `stack` has other axes, channels or times of which none is chosen, less than two planes, a
+        side below 3 px, or a plane with infinite values; if `axes` and `channel_axis` do not fit
+        it, or both are given; if `px_per_plane` is not above 0; and as in `estimate_candidates`
+        and `label_blur_map`.
 
     Notes
     -----
     The radius need only grow evenly: px are those of the PSF family's scale. Brightness may
     differ from plane to plane by a factor up to 2. Blur by up to 0.5 px cannot be told from
     none, so that planes closer to each other than that are told apart by those farther away.
-    A stack whose planes have shifted against each other has to be aligned before.
 
     Examples
     --------
@@ -219,28 +263,37 @@ def sharpest_plane(
     if isinstance(psf, AutomaticPSF):
         raise ValueError("psf is 'auto'; it takes a PSF family such as Disc(): no picture chooses")
     axes = said_axes(stack, axes, channel_axis, "stack")
-    planes = StackPlanes.of(stack, axes, channel=channel, time=time)
+    whole = StackPlanes.of(stack, axes, channel=channel, time=time)
     _check_settings(px_per_plane, noise_variance, stride, window)
+    check_align(align)
+    check_match(match_brightness)
+    check_flag("blend", blend)
+    check_peak(peak)
     check_weights(smoothness, color_sigma)
     check_linearize(linearize)
-    read = _Reader.of(planes, intensity_range, linearize)
+    checked_range(intensity_range)
+    planes = matched(whole, align, match_brightness, within(progress, 0.0, 0.2))
+    read = PlaneReader.of(planes, intensity_range, linearize)
     height, width = planes.shape[:2]
     bank = RingBank.over((height, width), psf, window, stride)
     coarse = RingBank.over((height, width), psf, max(window, _RATE_WINDOW), _RATE_STRIDE)
-    (power, wide), color, intensities = _read_planes(
-        read, (bank, coarse), noise_variance, within(progress, 0.0, 0.4)
+    (power, wide), color, energy, intensities = _read_planes(
+        read, (bank, coarse), noise_variance, within(progress, 0.2, 0.45)
     )
     unit = intensities.unit
-    progress("Finding the blur from plane to plane", 0.4)
+    progress("Finding the blur from plane to plane", 0.45)
+    (power, two), (wide, _) = (one_peak(each, peak) for each in (power, wide))
     if px_per_plane is None:
         # What a window mixes, in scale or in frequency, makes the blur seem to grow slower.
         rate = float(np.fmax(power.px_per_plane(), wide.px_per_plane()))
     else:
         rate = float(px_per_plane)
     usable = rate if math.isfinite(rate) else _ASSUMED_RATE
-    progress("Comparing the planes", 0.45)
+    progress("Comparing the planes", 0.5)
     labels_a_plane = int(np.clip(usable / _PX_A_LABEL, 1, _LABELS_A_PLANE))
     positions = np.arange((len(planes) - 1) * labels_a_plane + 1) / labels_a_plane
+    own = positions[power.cost(positions, usable).argmin(axis=1)]
+    power = replace(power, heard=power.heard & ~spread_light(power, own, usable))
     cost = power.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
     blocks = Blocks.around(bank.rows, bank.columns, (height, width))
     excess = power.excess().reshape(cost.shape[:2])
@@ -255,16 +308,27 @@ def sharpest_plane(
     progress("Measuring the confidence", 0.85)
     confidence = volume.confidence(position)
     plane = np.rint(position).astype(np.int32)
+    shares = Shares(len(planes), usable, psf, power.noise_variance, energy) if blend else None
     return SharpestPlane(
         position=position,
         plane=plane,
-        composite=_composite(planes, plane, within(progress, 0.9, 1.0)),
+        composite=put_together(read, position, shares, within(progress, 0.9, 1.0)),
         confidence=confidence,
         share_of_plane=np.bincount(plane.ravel(), minlength=len(planes)) / plane.size,
         px_per_plane=rate,
         noise_variance=power.noise_variance,
         intensities=intensities,
+        alignment=planes.alignment,
+        gain=np.ones(len(planes)) if planes.exposure is None else planes.exposure.gain,
+        two_peaks=blocks.spread(two.reshape(cost.shape[:2])),
+        notes=planes.notes + _told_peaks(float(two.mean()), peak),
     )
+
+
+def _told_peaks(share: float, peak: Peak) -> tuple[str, ...]:
+    if share < _FEW_PEAKS:
+        return ()
+    return (f"Two planes are sharp on {share:.0%} of the picture; the {peak} was taken there.",)
 
 
 def _check_settings(
@@ -280,53 +344,32 @@ def _check_settings(
     check_stride(stride, window)
 
 
-@dataclass(frozen=True)
-class _Reader:
-    """Reads planes and makes them ready."""
-
-    planes: StackPlanes
-    intensity_range: IntensityRange | Limits | None
-    linearize: Linearize | None
-
-    @classmethod
-    def of(
-        cls,
-        planes: StackPlanes,
-        intensity_range: IntensityRange | None,
-        linearize: Linearize | None,
-    ) -> _Reader:
-        """Look at all planes for the range that they share, if it is not known without."""
-        if not needs_limits(planes.dtype, checked_range(intensity_range)):
-            return cls(planes, intensity_range, linearize)
-        limits = [limits_of(planes.read(number)) for number in range(len(planes))]
-        return cls(planes, Limits.joined(limits), linearize)
-
-    def __call__(self, number: int) -> PreparedImage:
-        plane = self.planes.read(number)
-        if plane.ndim == 3 and plane.shape[2] == 1:
-            plane = plane[..., 0]
-        return prepare_image(plane, self.intensity_range, self.linearize)
-
-
 def _read_planes(
-    read: _Reader,
+    read: PlaneReader,
     banks: tuple[RingBank, ...],
     noise_variance: float | None,
     progress: Progress,
-) -> tuple[list[StackPower], Float32, Intensities]:
-    """Read all planes: their power, and each pixel's colour where it has the most detail."""
+) -> tuple[list[StackPower], Float32, list[Float32], Intensities]:
+    """Read all planes: their power, each pixel's colour where it has the most detail, energies."""
     power: list[list[Float32]] = [[] for _ in banks]
+    shown: list[list[Float32]] = [[] for _ in banks]
     noise, brightness, darkness = [], [], []
     most, color = np.zeros((0, 0), np.float32), np.zeros((0, 0, 0), np.float32)
-    count = len(read.planes)
-    for number in range(count):
-        progress("Reading the planes", number / count)
+    planes = read.planes
+    energies = Most(levels_for(planes.shape))
+    for number in range(len(planes)):
+        progress("Reading the planes", number / len(planes))
         picture = read(number)
-        for found, bank in zip(power, banks, strict=True):
-            found.append(bank.power(picture))
-        noise.append(noise_variance_of(picture) if noise_variance is None else noise_variance)
+        for found, known, bank in zip(power, shown, banks, strict=True):
+            found.append(bank.power(picture.luminance, picture.opaque))
+            known.append(bank.known_share(picture))
+        if noise_variance is not None:
+            noise.append(noise_variance)
+        elif not planes.moves(number):  # splines between pixels average noise
+            noise.append(noise_variance_of(picture))
         brightness.append(float(picture.luminance.mean()))
         darkness.append(float(np.quantile(picture.luminance, _DARKEST)))
+        energies.see(picture.luminance)
         detail = focus_measure(picture, _MEASURE_AREA)
         if number == 0:
             most, color = detail, picture.color.copy()
@@ -335,12 +378,14 @@ def _read_planes(
             color[sharper], most[sharper] = picture.color[sharper], detail[sharper]
     variance = float(np.median(noise))
     intensities = picture.intensities.with_contrast_of(color).above_noise(variance)
-    gain = _gains(np.array(brightness) - min(darkness), intensities.contrast)
+    gain = np.ones(len(planes))
+    if not planes.evenly_lit:
+        gain = _gains(np.array(brightness) - min(darkness), intensities.contrast)
     powers = [
-        StackPower.of(found, bank, variance, gain, intensities.unit)
-        for found, bank in zip(power, banks, strict=True)
+        StackPower.of(found, bank, variance, gain, heard_where(known), intensities.unit)
+        for found, known, bank in zip(power, shown, banks, strict=True)
     ]
-    return powers, color, intensities
+    return powers, color, energies.energy, intensities
 
 
 def _gains(brightness: Float64, contrast: float) -> Float64:
@@ -355,15 +400,3 @@ def _gains(brightness: Float64, contrast: float) -> Float64:
     gain = brightness / middle
     even = gain.min() > 1 / _LARGEST_DRIFT and gain.max() < _LARGEST_DRIFT
     return gain if even else np.ones(len(brightness))
-
-
-def _composite(planes: StackPlanes, plane: NDArray[np.int32], progress: Progress) -> NDArray[Any]:
-    """Take each pixel from its own plane: (H, W) or (H, W, C)."""
-    composite = np.empty(planes.shape, planes.dtype)
-    needed = np.unique(plane)
-    for done, number in enumerate(needed):
-        progress("Putting the sharpest pixels together", done / len(needed))
-        here = plane == number
-        composite[here] = planes.read(int(number))[here]
-    progress("Putting the sharpest pixels together", 1.0)
-    return composite

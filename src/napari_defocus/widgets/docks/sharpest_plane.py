@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from magicgui.widgets import ComboBox
+from magicgui.widgets import CheckBox, ComboBox
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
@@ -13,9 +13,14 @@ from napari_defocus.widgets.forms.settings_form import SettingsForm, automatic_f
 from napari_defocus.widgets.forms.slider_number import SliderNumber
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.focus_stacking import CHANNELS_ONLY, NO_PLANES, FocusStacking
-from napari_defocus.widgets.layers.image_layers import NotAnalysableError, finest
+from napari_defocus.widgets.layers.image_layers import NotAnalysableError, finest, shown_plane
 from napari_defocus.widgets.layers.preferences import preferred_settings
 from napari_defocus.widgets.layers.result_metadata import Results
+
+
+def _choice(name: str, label: str, tooltip: str) -> ComboBox:
+    choices = [("automatic", "auto"), ("always", True), ("never", False)]
+    return ComboBox(name=name, label=label, choices=choices, value="auto", tooltip=tooltip)
 
 
 class SharpestPlaneWidget(ImagePanel):
@@ -31,15 +36,20 @@ class SharpestPlaneWidget(ImagePanel):
         slider.
     px_per_plane : magicgui.widgets.LineEdit
         By how much the blur grows from plane to plane; empty to find it.
+    align, match_brightness, peak : magicgui.widgets.ComboBox
+        Whether planes are laid on each other first, and made equally bright; and which plane is
+        meant where two are sharp.
+    blend : magicgui.widgets.CheckBox
+        Whether planes are blended.
+    also : magicgui.widgets.ComboBox
+        Another stack, put together at the same positions.
     settings : SettingsForm
         Lens, noise and smoothness.
     """
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__(napari_viewer, action="Find the sharpest plane")
-        self.image.tooltip = (
-            "A stack of one scene whose planes are at equal steps of the focus, aligned."
-        )
+        self.image.tooltip = "A stack of one scene whose planes are at equal steps of the focus."
         self.along = ComboBox(
             name="along",
             label="focus along",
@@ -55,6 +65,40 @@ class SharpestPlaneWidget(ImagePanel):
             "By how many px the radius of the blur grows from plane to plane. Leave it empty to "
             "have it found from the stack.",
         )
+        self.align = _choice(
+            "align",
+            "align planes",
+            "Lay planes that drift, turn or are magnified on the middle one first: if motion is "
+            "surely there, always, or never.",
+        )
+        self.match_brightness = _choice(
+            "match_brightness",
+            "even brightness",
+            "Make planes that a lamp made brighter or darker equally bright: if they surely "
+            "differ, always, or never.",
+        )
+        self.blend = CheckBox(
+            name="blend",
+            text="blend planes",
+            value=True,
+            tooltip="Blend the planes about each position, which averages noise and has no seams. "
+            "Without, each pixel is that of one plane.",
+        )
+        self.peak = ComboBox(
+            name="peak",
+            label="of two peaks",
+            choices=["strongest", "first", "last"],
+            tooltip="Which plane is meant where two are sharp, with blurred ones between them, as "
+            "in something transparent.",
+        )
+        self.also = ComboBox(
+            name="also",
+            label="also put together",
+            choices=self._others,
+            nullable=True,
+            tooltip="Another stack of the same planes, such as another channel: it is put together "
+            "at the positions that this one tells.",
+        )
         self.settings = SettingsForm(blur_map=True, mask=False, last_measured=self._last_measured)
         settings = self.settings
         self._finish_form(
@@ -65,6 +109,11 @@ class SharpestPlaneWidget(ImagePanel):
                 self.channel,
                 self.time,
                 self.px_per_plane,
+                self.align,
+                self.match_brightness,
+                self.blend,
+                self.peak,
+                self.also,
                 *settings.lens.fields(),
                 settings.max_radius,
                 settings.more,
@@ -84,6 +133,9 @@ class SharpestPlaneWidget(ImagePanel):
 
     def _images(self, choice: Any) -> list[Image]:
         return [layer for layer in super()._images(choice) if layer.ndim > 2]
+
+    def _others(self, choice: Any) -> list[Image]:
+        return [layer for layer in self._images(choice) if layer is not self.image.value]
 
     def _sliders(self, _: Any) -> list[tuple[str, int]]:
         """Return the axes along which the focus may change, the most likely first.
@@ -113,6 +165,8 @@ class SharpestPlaneWidget(ImagePanel):
     def _on_image(self) -> None:
         self.along.reset_choices()
         self.along.visible = len(self.along.choices) > 1
+        self.also.reset_choices()
+        self.also.visible = len(self.also.choices) > 1
         self._follow_sliders()
 
     def _on_order(self, _: Any = None) -> None:
@@ -143,11 +197,17 @@ class SharpestPlaneWidget(ImagePanel):
         self.along.reset_choices()
         if self.along.value is None:
             raise NotAnalysableError(CHANNELS_ONLY if self._long_sliders() else NO_PLANES)
+        other = self.also.value
         return FocusStacking(
             plane=plane,
             axis=self.along.value,
             settings=self.settings.map_settings(),
             px_per_plane=number_or_none(self.px_per_plane.value, "blur a plane", "0.5"),
+            align=self.align.value,
+            match_brightness=self.match_brightness.value,
+            blend=self.blend.value,
+            peak=self.peak.value,
+            also=None if other is None else shown_plane(other, self._viewer.dims),
         )
 
     def run(self) -> Run | None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from napari.types import LayerDataTuple
@@ -11,7 +11,7 @@ from napari.utils.transforms import CompositeAffine
 from numpy.typing import NDArray
 
 from napari_defocus.core.axes import known_axis
-from napari_defocus.core.progress import Progress, silent
+from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.settings import CONFIDENT, MapSettings
@@ -31,6 +31,9 @@ from napari_defocus.widgets.layers.result_metadata import (
 
 if TYPE_CHECKING:
     from napari_defocus.stacks.focus_stacking import SharpestPlane
+
+Choice = Literal["auto"] | bool
+Peak = Literal["strongest", "first", "last"]
 
 COLOR_MAP = "turbo"
 """Positions have no best end, unlike a blur."""
@@ -56,6 +59,15 @@ class FocusStacking:
         Lens, noise, smoothness; its window and stride are not used.
     px_per_plane : float or None
         By how many px the radius grows from plane to plane; None to find it.
+    align, match_brightness : "auto" or bool
+        Whether planes are laid on each other first, and made equally bright.
+    blend : bool
+        Whether planes are blended, or each pixel is that of one plane.
+    peak : {"strongest", "first", "last"}
+        Which plane is meant where two are sharp.
+    also : Plane or None
+        Of another stack of the same scene, such as another channel, which is put together at the
+        positions that this one tells.
 
     Examples
     --------
@@ -78,6 +90,11 @@ class FocusStacking:
     axis: int
     settings: MapSettings
     px_per_plane: float | None = None
+    align: Choice = "auto"
+    match_brightness: Choice = "auto"
+    blend: bool = True
+    peak: Peak = "strongest"
+    also: Plane | None = None
 
     def __post_init__(self) -> None:
         """Refuse, before any work is done, what cannot be."""
@@ -94,6 +111,18 @@ class FocusStacking:
                 "the field empty to have it found."
             )
         check_pixels(self.plane.shape)
+        if self.also is not None:
+            other = self._of(self.also)
+            if (other.plane.shape[:2], other.count) != (self.plane.shape[:2], self.count):
+                raise NotAnalysableError(
+                    f"the other stack has {other.count} planes of {other.plane.shape[0]} x "
+                    f"{other.plane.shape[1]} px; it takes {self.count} of "
+                    f"{self.plane.shape[0]} x {self.plane.shape[1]} px."
+                )
+
+    def _of(self, plane: Plane) -> FocusStacking:
+        """Return the same of another stack."""
+        return replace(self, plane=plane, also=None)
 
     @property
     def _label_of_axis(self) -> str:
@@ -117,7 +146,7 @@ class FocusStacking:
         found = run_elsewhere(
             sharpest_of,
             Carried(self._stack()),
-            progress=progress,
+            progress=within(progress, 0.0, 0.7 if self.also else 1.0),
             axes=self._axes(),
             px_per_plane=self.px_per_plane,
             psf=settings.family(),
@@ -125,8 +154,27 @@ class FocusStacking:
             smoothness=settings.smoothness,
             color_sigma=settings.color_sigma,
             linearize=settings.linearize,
+            align=self.align,
+            match_brightness=self.match_brightness,
+            blend=self.blend,
+            peak=self.peak,
         )
-        return Results(self._layers(found), self._summary(found))
+        layers = self._layers(found)
+        if self.also is not None:
+            other = self._of(self.also)
+            composite = run_elsewhere(
+                composite_of,
+                Carried(other._stack()),
+                found.position,
+                progress=within(progress, 0.7, 1.0),
+                axes=other._axes(),
+                alignment=found.alignment,
+                px_per_plane=found.px_per_plane if np.isfinite(found.px_per_plane) else 1.0,
+                psf=settings.family(),
+                blend=self.blend,
+            )
+            layers.append(other._layer_of_pixels(found, composite))
+        return Results(layers, self._summary(found))
 
     def _stack(self) -> Any:
         index = list(self.plane.index)
@@ -154,13 +202,12 @@ class FocusStacking:
         return own + "s" * (self.plane.data.ndim - len(self.plane.index))
 
     def _layers(self, found: SharpestPlane) -> list[LayerDataTuple]:
-        rgb, last = found.composite.ndim == 3, float(self.count - 1)
-        limits = {} if rgb else {"contrast_limits": self.plane.contrast_limits}
+        last = float(self.count - 1)
         position: dict[str, Any] = {"colormap": COLOR_MAP, "contrast_limits": (0.0, last)}
         sure: dict[str, Any] = {"colormap": "gray", "contrast_limits": (0.0, 1.0)}
         hidden = {"visible": False}
         return [
-            self._layer(found, SHARPEST, found.composite, name="sharpest", rgb=rgb, **limits),
+            self._layer_of_pixels(found, found.composite),
             self._layer(
                 *(found, BEST_FOCUS, found.position),
                 name="best focus (plane)",
@@ -169,15 +216,23 @@ class FocusStacking:
             self._layer(found, FOCUS_CONFIDENCE, found.confidence, **(sure | hidden)),
         ]
 
+    def _layer_of_pixels(self, found: SharpestPlane, composite: NDArray[Any]) -> LayerDataTuple:
+        rgb = composite.ndim == 3
+        limits = {} if rgb else {"contrast_limits": self.plane.contrast_limits}
+        return self._layer(found, SHARPEST, composite, name="sharpest", rgb=rgb, **limits)
+
     def _layer(
         self, found: SharpestPlane, result: str, values: NDArray[Any], **looks: Any
     ) -> LayerDataTuple:
-        settings = asdict(self.settings) | {"px_per_plane": self.px_per_plane, "axis": self.axis}
+        own = ("px_per_plane", "axis", "align", "match_brightness", "blend", "peak")
+        settings = asdict(self.settings) | {name: getattr(self, name) for name in own}
         facts = {
             "noise_variance": found.noise_variance,
             "intensities": found.intensities.facts(),
             "px_per_plane": found.px_per_plane,
             "share_of_plane": found.share_of_plane.tolist(),
+            "gain": found.gain.tolist(),
+            "notes": list(found.notes),
         }
         layer = result_layer(self.plane, result, values, settings, facts, **looks)
         placed = _of_all_planes(self.plane.placement) if self._is_plain else None
@@ -200,6 +255,7 @@ class FocusStacking:
             lines.append(f"The blur grows by {found.px_per_plane:.2f} px a plane ({how})")
         else:
             lines.append("There is no texture to find by how much the blur grows.")
+        lines += found.notes
         lines.append(confidence_description((found.confidence >= CONFIDENT).mean()))
         if known_axis(self._label_of_axis) == "t":
             lines.append(f"“{self._label_of_axis}” was taken for focus")
@@ -211,6 +267,15 @@ def sharpest_of(stack: Carried, *, progress: Progress, **settings: Any) -> Sharp
     from napari_defocus import sharpest_plane
 
     return sharpest_plane(stack.array, progress=progress, **settings)
+
+
+def composite_of(
+    stack: Carried, position: NDArray[np.float32], *, progress: Progress, **settings: Any
+) -> NDArray[Any]:
+    """Return `napari_defocus.composite_at` of a stack that was sent: in another process."""
+    from napari_defocus import composite_at
+
+    return composite_at(position, stack.array, progress=progress, **settings)
 
 
 def _of_all_planes(placed: dict[str, Any]) -> dict[str, Any] | None:

@@ -1,0 +1,68 @@
+"""Detail that is none: what the blur of something stronger beside a place shows there.
+
+Out of focus, the light of bright things spreads over their surroundings, and where it ends there
+are edges. Places with little detail of their own seem to be in focus in such a plane: islands
+beside highlights. The position and the growth of the radius tell which planes that can be: those
+in which the strongest detail within k |z - z0| px of a place reaches it. What they show there has
+to be more than a small part of that detail, or they have no say: the position is then told by the
+other planes, or by the surroundings, and the confidence knows.
+
+Only asked where a place says something else than the strongest detail around it. *Lost*: predicting
+the spread light itself, by blurring the sharpest pixels: real lenses leave rings, and pictures for
+a screen are no light, so that it was 10 times too weak on a circuit board.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+
+from napari_defocus.stacks.depth_from_focus import StackPower
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+_REACHES = (6.0, 12.0, 18.0, 24.0, 32.0)
+"""px that light is followed. Chosen by hand."""
+
+_ODD = 1.0
+"""Planes off the position of the strongest detail, from which on a place is asked. By hand."""
+
+_PART = 0.05
+"""Of the strongest detail's power, that its spread light may have. On a circuit board, none leaves
+islands on 4.4 % of the pixels, 0.02 on 0.5 %, 0.05 and 0.1 on none; across simulated steps in depth
+0.9 % of the pixels lose their position by 0.05, and no composite changes by 0.1 dB.
+"""
+
+
+def spread_light(power: StackPower, own: Float64, px_per_plane: float) -> Mask:
+    """Return where planes may show the spread light of other places alone: (P, Z).
+
+    Parameters
+    ----------
+    power : StackPower
+    own : (P,) ndarray
+        The position that costs the least at each window.
+    px_per_plane : float
+        k.
+    """
+    bank, shown = power.bank, power.mean_power() - 1
+    shape = len(bank.rows), len(bank.columns)
+    strength = power.peak()
+    order = np.argsort(strength, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    stride = float(bank.rows[1] - bank.rows[0]) if shape[0] > 1 else float(bank.window)
+    spread, within = np.zeros(shown.shape, bool), 0.0
+    for reach in _REACHES:
+        side = 2 * int(np.ceil((reach + bank.window / 2) / stride)) + 1
+        strongest = order[maximum_filter(rank.reshape(shape), side).ravel()]
+        odd = np.abs(own - own[strongest]) > _ODD
+        weak = shown < _PART * strength[strongest, None]
+        planes = np.arange(shown.shape[1])
+        radius = px_per_plane * np.abs(planes - own[strongest, None])
+        spread |= odd[:, None] & weak & (radius >= (reach + within) / 2)
+        within = reach
+    return spread
