@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from napari_defocus import BlurCandidates, PSFFamily
     from napari_defocus.core.intensity import Intensities
     from napari_defocus.labeling.problem import Ingredients
+    from napari_defocus.restoration.all_in_focus import RestorationFit
 
 Float32 = NDArray[np.float32]
 T = TypeVar("T")
@@ -183,7 +184,7 @@ class JobCache:
 
     def __init__(self) -> None:
         self.maps: LayerCache[EstimatedMap] = LayerCache()
-        self.restored: LayerCache[NDArray[np.float32]] = LayerCache()
+        self.restored: LayerCache[tuple[NDArray[np.float32], RestorationFit]] = LayerCache()
         self.analysed: LayerCache[Analysed] = LayerCache()
 
 
