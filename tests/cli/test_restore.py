@@ -113,7 +113,7 @@ def test_restore_brings_back_details(tmp_path, gravel):
 
 def test_picture_that_does_not_fit_its_map_is_told(folder, instant):
     result = run("restore", folder / "p.png")
-    assert "lens or map do not fit (variance 7e-05): with more care" in result.stdout
+    assert "lens or map may not fit (variance 7e-05): with more care" in result.stdout
 
 
 def test_restore_is_the_function_on_the_map_that_is_given(folder, ramp):

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Float32 = NDArray[np.float32]
 
 _MISFIT = (
-    "The picture does not fit its map: the lens, or the map, is another. "
+    "The picture may not fit its map: the lens, or the map, is another, or noise hides it. "
     "Less blur is taken away, with more care."
 )
 
