@@ -213,6 +213,8 @@ class Deconvolution:
 
         Of a picture that does not fit, return what `_despite_misfit` does.
         """
+        if self._hides_misfit:
+            return self._despite_misfit(scales, 1.0, progress) * self._unit
         sharp = self._begun(scales)
         epsilon = _FIRST_EPSILON
         for count in range(_MOST_ROUNDS):
@@ -245,8 +247,6 @@ class Deconvolution:
         mean says so of most of the picture; a few wrong places do not matter to it. Where the
         residual is large does not tell where the model is wrong: what fits it there is in f.
         """
-        if self._hides_misfit:
-            return 1.0
         power = self._residual_power(sharp) / max(self._noise_variance, _LEFT_BY_TV)
         middle = float(np.exp(np.mean(np.log(np.maximum(power, _LEAST_POWER)), dtype=np.float64)))
         return float(np.clip((middle - _FITS) / (_FAILS - _FITS), 0, 1))
