@@ -21,6 +21,7 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter
 from scipy.stats import spearmanr
 from skimage.draw import polygon
+from skimage.metrics import structural_similarity
 
 from napari_defocus import (
     cautious_blur_map,
@@ -97,25 +98,31 @@ def phones(real: Path, measure: Measure, by: int = 3) -> Iterator[Points]:
         yield Points(name, found[0][at], found[1][at], known[f"radius{mark}"])
 
 
-def restored(real: Path) -> Iterator[tuple[str, float, float]]:
-    """Yield the PSNR, dB, of binned phone photographs against sharp pictures; and restored."""
+def restored(real: Path, by: int = 3) -> Iterator[tuple[str, list[float], list[float], float]]:
+    """Yield PSNR, dB, and SSIM of phone photographs against sharp pictures; restored; the misfit.
+
+    Binned, or, by 1, at their full size.
+    """
     for path in sorted(real.glob("*-photo.tif")):
         name = path.name.removesuffix("-photo.tif")
         photo, sharp = (
-            binned(tifffile.imread(real / f"{name}-{kind}.tif") / 65535).astype(np.float32)
+            binned(tifffile.imread(real / f"{name}-{kind}.tif") / 65535, by).astype(np.float32)
             for kind in ("photo", "sharp")
         )
         candidates = estimate_candidates(photo)
         blur_map = label_blur_map(candidates, photo)
         safe, sure = cautious_blur_map(candidates, blur_map), confidence_map(candidates, blur_map)
-        result = restore_all_in_focus(photo, safe, confidence=sure, intensity_range=(0, 1))
-        yield name, _psnr(photo, sharp), _psnr(result, sharp)
+        result, fit = restore_all_in_focus(
+            photo, safe, confidence=sure, intensity_range=(0, 1), return_fit=True
+        )
+        yield name, _likeness(photo, sharp), _likeness(result, sharp), fit.misfit
 
 
-def _psnr(picture: np.ndarray, sharp: np.ndarray) -> float:
+def _likeness(picture: np.ndarray, sharp: np.ndarray) -> list[float]:
     inner = slice(8, -8)
-    difference = (np.clip(picture, 0, 1) - sharp)[inner, inner]
-    return float(-10 * np.log10(np.mean(difference**2)))
+    seen, true = (each.clip(0, 1)[inner, inner] for each in (picture, sharp))
+    noise = float(-10 * np.log10(np.mean((seen - true) ** 2)))
+    return [noise, float(structural_similarity(seen, true, data_range=1))]
 
 
 def mitochondria(real: Path, measure: Measure) -> tuple[float, list[tuple[float, float, float]]]:
@@ -242,9 +249,20 @@ def main() -> None:
     parser.add_argument("--restore", action="store_true", help="restore the photographs, too")
     arguments = parser.parse_args()
     report(arguments.real, with_defaults)
-    if arguments.restore:
-        for name, before, after in restored(arguments.real):
-            print(f"restored {name}: {before:.2f} dB, {after - before:+.2f} dB")
+    for by in (3, 1) if arguments.restore else ():
+        print(f"\n| restored, binned {by} x {by} | input, dB | gain, dB | gain, SSIM | misfit |")
+        print("|---|---|---|---|---|")
+        gains = []
+        for name, before, after, misfit in restored(arguments.real, by):
+            gains.append(np.subtract(after, before))
+            decibels, similarity = gains[-1]
+            print(
+                f"| {name} | {before[0]:.2f} | {decibels:+.2f} | {similarity:+.3f} "
+                f"| {misfit:.1e} |",
+                flush=True,
+            )
+        (mean, similarity), (least, _) = np.mean(gains, axis=0), np.min(gains, axis=0)
+        print(f"| mean (least) | | {mean:+.2f} ({least:+.2f}) | {similarity:+.3f} | |")
 
 
 if __name__ == "__main__":

@@ -139,6 +139,9 @@ from .psf.measured import (
 from .psf.parsing import (
     psf_from_text as psf_from_text,
 )
+from .restoration.all_in_focus import (
+    RestorationFit as RestorationFit,
+)
 from .restoration.refocusing import (
     change_focus as change_focus,
 )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from napari_defocus.likelihood.psf_choice import PSFChoice
     from napari_defocus.likelihood.shot_noise import ShotNoise
     from napari_defocus.psf.families import PSFFamily
-    from napari_defocus.restoration.all_in_focus import Restoration
+    from napari_defocus.restoration.all_in_focus import Restoration, RestorationFit
 
 CANDIDATES_SHARE = 0.7
 """Roughly how much of the time goes into the candidates; for the progress bar only."""
@@ -240,12 +240,16 @@ def restore(
     *,
     limits: Limits | None = None,
     progress: Progress = silent,
-) -> NDArray[np.float32]:
-    """Return the picture all in focus; `limits` are intensities that planes of a stack share."""
+) -> tuple[NDArray[np.float32], RestorationFit]:
+    """Return the picture all in focus, and how well it fits its map.
+
+    `limits` are intensities that planes of a stack share.
+    """
     if limits is not None:
-        return how.restored(image, how.prepared(image, limits), blur_map, confidence, progress)
+        prepared = how.prepared(image, limits)
+        return how.restored_with_fit(image, prepared, blur_map, confidence, progress)
     return napari_defocus.restore_all_in_focus(
-        image, blur_map, **vars(how), confidence=confidence, progress=progress
+        image, blur_map, **vars(how), confidence=confidence, progress=progress, return_fit=True
     )
 
 

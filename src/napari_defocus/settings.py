@@ -166,7 +166,7 @@ class RestorationSettings:
 
     noise_variance: float | None = None
     tv_weight: float | None = None
-    risk: float = 0.1
+    risk: float = 0.3
 
     def __post_init__(self) -> None:
         """Refuse impossible values before any work is done with them."""

@@ -17,7 +17,7 @@ from napari_defocus import Annulus, Disc, Gaussian, ThinLens, blur_from_depth, s
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.io.encoders import blur_map_tiff
 from napari_defocus.io.pictures import read_picture
-from napari_defocus.restoration.all_in_focus import usual_tv_weight
+from napari_defocus.restoration.all_in_focus import RestorationFit
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 
 HEIGHT, WIDTH = 48, 60
@@ -77,7 +77,11 @@ def instant(monkeypatch):
             array = np.asarray(image)
             color = array if array.ndim == 2 else array[..., :3]
             full = np.iinfo(color.dtype).max if color.dtype.kind in "ui" else 1
-            return (color / full).astype(np.float32)
+            sharp = (color / full).astype(np.float32)
+            if not options.get("return_fit"):
+                return sharp
+            weight = options["tv_weight"] or 0.002
+            return sharp, RestorationFit(options["noise_variance"], weight, 7e-5)
 
         return make
 
@@ -106,6 +110,11 @@ def test_restore_brings_back_details(tmp_path, gravel):
     assert "80 x 80 px" in result.stdout
     assert "blur         median 3." in result.stdout
     assert "tv weight    " in result.stdout
+
+
+def test_picture_that_does_not_fit_its_map_is_told(folder, instant):
+    result = run("restore", folder / "p.png")
+    assert "lens or map may not fit (variance 7e-05): with more care" in result.stdout
 
 
 def test_restore_is_the_function_on_the_map_that_is_given(folder, ramp):
@@ -205,7 +214,7 @@ def test_defaults_are_those_of_the_functions(folder, instant):
     assert instant["map"]["color_sigma"] == MapSettings.color_sigma
     assert instant["risk"] == RestorationSettings.risk
     restoring, changing = instant["restore_all_in_focus"], instant["change_focus"]
-    assert restoring["tv_weight"] == usual_tv_weight(3e-5, 3)
+    assert restoring["tv_weight"] is None
     assert restoring["psf"] == changing["psf"] == Disc()
     np.testing.assert_array_equal(restoring["confidence"], np.float32(0.75))
     np.testing.assert_array_equal(restoring["blur_map"], np.float32(2.0))
@@ -242,6 +251,7 @@ def test_options_reach_the_functions(folder, instant, command):
     assert restoring["noise_variance"] == 1e-4
     facts = json.loads(result.stdout)
     assert facts["tv_weight"] == 0.01
+    assert facts["misfit"] == 7e-5
     assert facts["psf"] == "polygon:6"
     assert facts["blur_median_px"] == 2.5
     assert facts["confidence_median"] == 0.75

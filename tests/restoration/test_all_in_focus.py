@@ -1,18 +1,22 @@
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from skimage import data
 
 from napari_defocus import (
+    Annulus,
     Cancelled,
     Disc,
     Polygon,
     cautious_blur_map,
     confidence_map,
     estimate_candidates,
+    estimate_noise_variance,
     label_blur_map,
     restore_all_in_focus,
     simulate_defocus,
 )
+from napari_defocus.restoration.all_in_focus import usual_tv_weight
 
 INNER = np.s_[10:-10, 10:-10]
 
@@ -176,6 +180,53 @@ def test_confidence_protects_where_the_map_is_wrong(coffee):
     half = np.s_[10:-10, 44:-10]
     errors = [np.mean((picture - coffee)[half] ** 2) for picture in (trusting, careful)]
     assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.fixture(scope="module")
+def photograph(astronaut):
+    """What a soft lens with a hole in its pupil makes of a portrait, at 3 px."""
+    soft = gaussian_filter(astronaut, (0.6, 0.6, 0))
+    uniform = np.full(astronaut.shape[:2], 3.0)
+    return simulate_defocus(soft, uniform, psf=Annulus(0.5), noise_variance=1e-6, rng=0)
+
+
+@pytest.mark.parametrize("wrong", [0.85, 1.0, 1.15])
+def test_another_lens_and_a_wrong_map_do_no_harm(astronaut, photograph, wrong):
+    """Soft by 0.6 px, another PSF, a map off by 15 %: not worse than the input."""
+    radius = np.full(astronaut.shape[:2], 3.0 * wrong)
+    sure = np.full(radius.shape, 0.7)
+    sharp, fit = restore_all_in_focus(photograph, radius, confidence=sure, return_fit=True)
+    assert fit.misfit > 0
+    assert psnr(sharp, astronaut) > psnr(photograph, astronaut) + 0.2
+
+
+def test_what_fits_its_map_is_said_to_fit(blurred, radii, restored):
+    sharp, fit = restore_all_in_focus(blurred, radii, return_fit=True)
+    np.testing.assert_array_equal(sharp, restored)
+    assert fit.misfit == 0
+    assert fit.noise_variance == estimate_noise_variance(blurred)
+    assert fit.tv_weight == pytest.approx(usual_tv_weight(fit.noise_variance, 3), rel=1e-4)
+
+
+def test_misfit_smooths_more_unless_the_smoothing_is_given(photograph):
+    radius, sure = np.full((2, 160, 160), [[[2.55]], [[0.7]]])
+    found = restore_all_in_focus(photograph, radius, confidence=sure, return_fit=True)[1]
+    assert found.tv_weight > 10 * usual_tv_weight(found.noise_variance, 3)
+    given = restore_all_in_focus(
+        photograph, radius, confidence=sure, tv_weight=1e-4, return_fit=True
+    )[1]
+    assert given.misfit > 0
+    assert given.tv_weight == pytest.approx(1e-4)
+
+
+def test_noise_that_would_hide_a_misfit_counts_as_one(coffee, radii):
+    seen = simulate_defocus(coffee, radii, noise_variance=1e-4, rng=0)
+    assert restore_all_in_focus(seen, radii, return_fit=True)[1].misfit > 0
+
+
+def test_fit_is_that_of_one_picture(blurred, radii):
+    with pytest.raises(ValueError, match="return_fit is True for a stack or a dask array"):
+        restore_all_in_focus(blurred[None], radii[None], axes="ZYXC", return_fit=True)
 
 
 def test_full_confidence_changes_little(blurred, radii, restored):

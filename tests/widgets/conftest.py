@@ -12,7 +12,7 @@ from napari.utils.notifications import notification_manager
 from pytestqt.qtbot import QtBot
 
 import napari_defocus
-from napari_defocus import Cancelled, ShotNoise
+from napari_defocus import Cancelled, RestorationFit, ShotNoise
 from napari_defocus.core.intensity import Intensities
 
 ONLY_WHAT_HANGS = 600_000
@@ -165,6 +165,7 @@ class StandIn:
 
     radius: float = 2.5
     noise_variance: float = 3e-5
+    misfit: float = 0.0
     estimations: list = field(default_factory=list)
     noises: list = field(default_factory=list)
     labelings: list = field(default_factory=list)
@@ -205,7 +206,9 @@ class StandIn:
     def restore_all_in_focus(self, image, blur_map, *, progress, **arguments):
         self.restorations.append({"image": image, "blur_map": blur_map, **arguments})
         progress("Taking the blur away", 0.5)
-        return np.full((*image.shape[:2], 3)[: image.ndim], 0.25, np.float32)
+        sharp = np.full((*image.shape[:2], 3)[: image.ndim], 0.25, np.float32)
+        noise_variance = arguments["noise_variance"]
+        return sharp, RestorationFit(noise_variance, arguments["tv_weight"] or 2e-3, self.misfit)
 
     def change_focus(self, image, blur_map, *, progress, **arguments):
         self.refocusings.append({"image": image, "blur_map": blur_map, **arguments})

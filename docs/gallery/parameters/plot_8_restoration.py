@@ -46,7 +46,7 @@ def draw(pictures):
 
 
 # %%
-# **Risk**, 0.1 by default. On photographs, where the map is less sure than here, more risk makes
+# **Risk**, 0.3 by default. On photographs, where the map is less sure than here, more risk makes
 # rings.
 
 draw(
@@ -54,7 +54,7 @@ draw(
         f"risk={risk}": restore_all_in_focus(
             seen, cautious_blur_map(candidates, blur_map, risk=risk), confidence=confidence
         )
-        for risk in (0.1, 1.0)
+        for risk in (0.3, 1.0)
     }
 )
 

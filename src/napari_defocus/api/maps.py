@@ -287,9 +287,10 @@ def confidence_map(candidates: BlurCandidates | LazyCandidates, blur_map: ArrayL
 
     It comes from the whole curve log p(r): what share of the likelihood, limited in depth and
     averaged over the neighbouring windows that the map was made coherent with, lies within
-    0.5 px of the map's value, beyond 5 px within a tenth of it. A logistic function of it and of the largest difference that the
-    map has within 31 px (beside a jump, windows see both sides) was fitted once on simulated
-    ramps and layered scenes, so that of the pixels with a confidence of 0.8, 80 % are right.
+    0.5 px of the map's value, beyond 5 px within a tenth of it. A logistic function of it and of
+    the largest difference that the map has within 31 px (beside a jump, windows see both sides)
+    was fitted once on simulated ramps and layered scenes, so that of the pixels with a confidence
+    of 0.8, 80 % are right.
     Where the curve is flat, because there is no texture, the confidence is the share of all
     radii that lie so near the map's value: 0.14 at most for radii up to 8 px.
 

@@ -241,7 +241,7 @@ def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDA
     elif noise is None:
         noise = found.noise_variance
     safe, how = found.cautious(settings.risk), plan.restoration(found.psf, noise)
-    return restore(picture, safe, found.confidence, how, limits=limits)
+    return restore(picture, safe, found.confidence, how, limits=limits)[0]
 
 
 def _stack_limits(task: PlaneTask) -> Limits:

@@ -115,7 +115,7 @@ threshold PX
     Largest blur radius that counts as in focus, in px.
 tv_weight NUMBER
     How smooth the picture in focus is: large for less noise, small for more detail. Derived from
-    the noise if left out.
+    the noise if left out, and from how badly the picture fits its map.
 risk NUMBER
     Of taking more blur away than there is, which makes rings: small leaves more blur where it is
     not sure, 1 takes away what the map says. Without effect with --map.

@@ -31,6 +31,8 @@ from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSet
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_defocus.restoration.all_in_focus import RestorationFit
+
 MEASURING_SHARE = 0.2
 """Roughly how much of the time goes into the map; for the progress bar only."""
 
@@ -45,7 +47,10 @@ output -o PATH
 
 
 def _weight_line(facts: Facts) -> str:
-    return f"tv weight    {facts['tv_weight']:.2g}"
+    line = f"tv weight    {facts['tv_weight']:.2g}"
+    if facts["misfit"] > 0:
+        line += f"; lens or map may not fit (variance {facts['misfit']:.1g}): with more care"
+    return line
 
 
 def _restored_lines(facts: Facts) -> Iterator[str]:
@@ -91,11 +96,11 @@ def restore(
     found = measuring.find(picture, settings, first)
     if found.intensities is None:
         found = replace(found, intensities=intensities_of(picture, intensity_range))
-    sharp, restoration = _all_in_focus(
+    sharp, fit = _all_in_focus(
         picture, found, settings, asked, settings.linearize, intensity_range, second
     )
-    found = replace(found, noise_variance=restoration.noise_variance)
-    shaping = {"tv_weight": restoration.tv_weight}
+    found = replace(found, noise_variance=fit.noise_variance)
+    shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit}
     facts = picture_facts(image, outputs, found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
@@ -161,11 +166,11 @@ def refocus(
         found = replace(found, intensities=intensities_of(picture, intensity_range))
     light: Linearize | None = "srgb" if encoding == "srgb" else None
     restored = within(second, 0.0, _RESTORING_SHARE)
-    sharp, restoration = _all_in_focus(
+    sharp, fit = _all_in_focus(
         picture, _sure(found), settings, asked, light, intensity_range, restored
     )
-    change["restoring_noise_variance"] = restoration.noise_variance
-    change |= {"tv_weight": restoration.tv_weight, "risk": asked.risk}
+    change["restoring_noise_variance"] = fit.noise_variance
+    change |= {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "risk": asked.risk}
     view = RefocusSettings(focus=change["focus_px"], aperture=aperture, side=side, linearize=light)
     changed = napari_defocus.change_focus(
         picture,
@@ -194,24 +199,21 @@ def _all_in_focus(
     light: Linearize | None,
     intensity_range: tuple[float, float] | None,
     progress: Progress,
-) -> tuple[NDArray[Any], RestorationSettings]:
-    """Return the picture without what is safe to take away, and the settings as they were used.
+) -> tuple[NDArray[Any], RestorationFit]:
+    """Return the picture without what is safe to take away, and how well it fits.
 
-    Their noise variance is that in the light in which the picture is restored.
+    The noise variance is that in the light in which the picture is restored.
     """
-    from napari_defocus.restoration.all_in_focus import Restoration, usual_tv_weight
+    from napari_defocus.restoration.all_in_focus import Restoration
 
-    noise, weight = found.noise_variance, asked.tv_weight
+    noise = found.noise_variance
     if noise is None or (light != settings.linearize and found.map_file is None):
         noise = napari_defocus.estimate_noise_variance(
             picture, linearize=light, intensity_range=intensity_range
         )
-    if weight is None:
-        weight = usual_tv_weight(noise, 1 if picture.ndim == 2 else 3, found.intensities)
     safe = _without_gaps(replace(found, blur_map=found.cautious(asked.risk)))
-    how = Restoration(found.psf, noise, weight, light, intensity_range)
-    sharp = restored(picture, safe.blur_map, safe.confidence, how, progress=progress)
-    return sharp, replace(asked, noise_variance=noise, tv_weight=weight)
+    how = Restoration(found.psf, noise, asked.tv_weight, light, intensity_range)
+    return restored(picture, safe.blur_map, safe.confidence, how, progress=progress)
 
 
 def _encoded(

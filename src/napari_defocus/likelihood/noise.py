@@ -31,7 +31,7 @@ _FLOOR_QUANTILE = 0.1
 _FLOOR_OF_WHITE = 0.865
 """The 10 % quantile of the local variance of white noise of variance 1, over 25 x 25 px."""
 
-_PROCESSING_VARIANCE = 2e-5
+PROCESSING_VARIANCE = 2e-5
 """What a camera leaves at middle frequencies besides the finest details, intensities in [0, 1]: a
 level of 8 bits or so. With half the error of JPEG's steps, it served simulated cameras of
 qualities 40 to 98 (docs/decisions.md).
@@ -188,5 +188,5 @@ def compression_variance(finest: float, fine: float, step: float, level: float) 
 
     `finest` and `fine` are the variances in the finest details, and in those twice as large.
     """
-    of_levels = _PROCESSING_VARIANCE + step**2 / 12 / LEVELS**2 / 2
+    of_levels = PROCESSING_VARIANCE + step**2 / 12 / LEVELS**2 / 2
     return max(0.0, fine - finest) + of_levels * (LEVELS * level) ** 2

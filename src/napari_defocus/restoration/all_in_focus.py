@@ -26,7 +26,7 @@ from napari_defocus.core.intensity import Intensities, IntensityRange, Limits
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import thread_count
 from napari_defocus.forward.blur_operator import checked_scales
-from napari_defocus.likelihood.noise import noise_variance_of
+from napari_defocus.likelihood.noise import PROCESSING_VARIANCE, noise_variance_of
 from napari_defocus.psf.families import PSFFamily, as_family
 from napari_defocus.restoration.deconvolution import Deconvolution
 from napari_defocus.settings import MapSettings, RestorationSettings
@@ -41,6 +41,27 @@ contrast of 1. By hand, on simulated pictures.
 
 _LUMA_OF_NOISE = float(np.sum(np.square(LUMA_WEIGHTS)))
 """Variance of the luminance of noise of variance 1 in each channel."""
+
+
+@dataclass(frozen=True)
+class RestorationFit:
+    """How well a picture fits its map, and what was done about it.
+
+    Attributes
+    ----------
+    noise_variance : float
+        Of the luminance, given or found.
+    tv_weight : float
+        lambda of (19), as it was used.
+    misfit : float
+        Variance of what noise, lens and map do not explain, intensities in [0, 1]; 0 if the
+        picture fits. Above 0, less blur was taken away, with more smoothing. Taken for granted
+        where the noise would hide it, from a variance of 2e-5.
+    """
+
+    noise_variance: float
+    tv_weight: float
+    misfit: float
 
 
 @dataclass(frozen=True)
@@ -87,8 +108,19 @@ class Restoration:
         progress: Progress = silent,
     ) -> Float32:
         """Minimise (19) for a picture and how it is prepared; return it in the image's shape."""
-        colors = self._colors(picture, blur_map, confidence, progress)
-        return with_unknown(in_shape_of(image, colors), image)
+        return self.restored_with_fit(image, picture, blur_map, confidence, progress)[0]
+
+    def restored_with_fit(
+        self,
+        image: ArrayLike,
+        picture: PreparedImage,
+        blur_map: ArrayLike,
+        confidence: ArrayLike | None = None,
+        progress: Progress = silent,
+    ) -> tuple[Float32, RestorationFit]:
+        """Return what `restored` does, and how well the picture fits its map."""
+        colors, fit = self._colors(picture, blur_map, confidence, progress)
+        return with_unknown(in_shape_of(image, colors), image), fit
 
     def _colors(
         self,
@@ -96,8 +128,8 @@ class Restoration:
         blur_map: ArrayLike,
         confidence: ArrayLike | None,
         progress: Progress,
-    ) -> Float32:
-        """Return the restored colours: (H, W, C)."""
+    ) -> tuple[Float32, RestorationFit]:
+        """Return the restored colours, (H, W, C)."""
         scales = checked_scales(blur_map, picture.shape, self.psf)
         sure = None if confidence is None else _checked_confidence(confidence, picture.shape)
         progress("Measuring the noise", 0.0)
@@ -110,10 +142,13 @@ class Restoration:
         of_channel = _noise_of_a_channel(noise_variance, channels)
         with ThreadPoolExecutor(thread_count()) as pool:
             problem = Deconvolution(
-                picture, self.psf, sure, of_channel, tv_weight, self.linearize, pool
+                *(picture, self.psf, sure, of_channel, tv_weight, self.linearize, pool),
+                follows_misfit=self.tv_weight is None,
+                hides_misfit=noise_variance >= PROCESSING_VARIANCE,
             )
             sharp = np.clip(problem.solve(scales, progress), 0, 1)
-        return encode_srgb(sharp) if self.linearize == "srgb" else sharp
+        fit = RestorationFit(float(noise_variance), problem.tv_weight, problem.misfit)
+        return encode_srgb(sharp) if self.linearize == "srgb" else sharp, fit
 
 
 def usual_tv_weight(

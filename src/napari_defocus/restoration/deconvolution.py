@@ -21,6 +21,10 @@ what makes it fast: without, ten times as many steps are not enough.
 
 It is solved for in units of the picture's contrast, in which the constants below are meant.
 
+Photographs do not fit (1) as simulations do: lenses, maps and depth edges are not what it says.
+What is left over of a first few rounds, beside what noise leaves over, tells; see `_misfit`. Then
+the misfit counts as more noise, which is smoothed away, and less of the blur is taken away.
+
 The picture is solved for on a domain that is larger than it by the reach of the PSF, where
 there are no data. Clipped highlights are data on one side only: they say nothing once A f is
 at least as bright.
@@ -35,6 +39,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, minimum_filter
+from scipy.special import erfinv
 
 from napari_defocus.core.checks import Linearize
 from napari_defocus.core.image import PreparedImage, decode_srgb
@@ -84,6 +89,45 @@ _GROSS = 8.0
 _VISIBLE = 2e-5
 """Added to the noise variance in this, in units of the squared contrast (docs/decisions.md)."""
 
+_PROBED_AFTER = 2
+"""The round, from 0, after which the misfit is measured."""
+
+_FITS, _FAILS = 1.2, 3.0
+"""The residual's power, times that of the noise, geometric mean over the picture: up to which the
+picture fits, and from which it does not (docs/decisions.md).
+"""
+
+_LEFT_BY_TV = 2e-7
+"""Least power, in units of the squared contrast, that a residual is compared with: what the least
+lambda leaves over of pictures without noise.
+"""
+
+_MISFIT = 0.0075
+"""Variance of the misfit of photographs, as a share of the picture's (docs/decisions.md)."""
+
+_TV_OF_MISFIT = 30.0
+"""lambda of (19): so many times the variance of the misfit, as of the noise."""
+
+_LOWERED = (0.25, 1.25)
+"""Standard deviations by which scales are lowered in the two pictures that are averaged where the
+model does not fit: around the quantile of 10 % of a normal distribution, if the map is that of
+30 % (docs/decisions.md).
+"""
+
+_TOLERATED, _LARGEST_DEVIATION = 0.5, 3.0
+"""px: the error that the confidence is the probability of staying below, and the largest standard
+deviation that is read from it. The first is that of `confidence_map`.
+"""
+
+_MISFIT_ROUNDS = 4
+"""Rounds for each of the two pictures: a large lambda settles sooner."""
+
+_LEAST_SHARE_WITHIN = 1e-3
+"""Least erfinv of the confidence: only keeps the division from failing."""
+
+_LEAST_POWER = 1e-3
+"""Least power of the residual in the geometric mean, in units of the noise variance."""
+
 _RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
 """px: over which the residual's power is averaged, and how far around the scale is reduced.
 Chosen by hand.
@@ -117,6 +161,16 @@ class Deconvolution:
         What the picture was decoded by: it says where light is clipped.
     pool : Executor
         What filters at once.
+    follows_misfit : bool
+        Whether `tv_weight` grows where the picture does not fit the model.
+    hides_misfit : bool
+        Whether the noise is so large that a misfit would not be seen: then there is one.
+
+    Attributes
+    ----------
+    misfit : float
+        Variance of what lens and map do not explain, in units of the squared intensity; 0 if
+        the picture fits. Known after `solve`.
     """
 
     def __init__(
@@ -128,6 +182,9 @@ class Deconvolution:
         tv_weight: float,
         linearize: Linearize | None,
         pool: Executor,
+        *,
+        follows_misfit: bool = True,
+        hides_misfit: bool = False,
     ) -> None:
         unit = self._unit = np.float32(picture.intensities.unit)
         self._color, self._opaque = picture.color / unit, picture.opaque
@@ -138,12 +195,27 @@ class Deconvolution:
         limit = np.array([_CLIPPED], np.float32)
         clipped = picture.color >= (decode_srgb(limit) if linearize == "srgb" else limit)
         self._clipped = clipped if clipped.any() else None
+        self._follows_misfit, self._hides_misfit = follows_misfit, hides_misfit
+        self._misfit_variance = 0.0
+
+    @property
+    def misfit(self) -> float:
+        """Variance of what is not explained, see the attributes."""
+        return self._misfit_variance * float(self._unit) ** 2
+
+    @property
+    def tv_weight(self) -> float:
+        """Of (19), as it was used, in units of the intensity."""
+        return self._tv_weight * float(self._unit)
 
     def solve(self, scales: Float32, progress: Progress) -> Float32:
-        """Return the minimiser, (H, W, C); nothing keeps it in [0, 1]."""
-        self._blur_by(scales)
-        sharp = self._blur.extend(self._color)
-        sharp += self._preconditioner(self._negative_gradient(sharp)[0])
+        """Return the minimiser, (H, W, C); nothing keeps it in [0, 1].
+
+        Of a picture that does not fit, return what `_despite_misfit` does.
+        """
+        if self._hides_misfit:
+            return self._despite_misfit(scales, 1.0, progress) * self._unit
+        sharp = self._begun(scales)
         epsilon = _FIRST_EPSILON
         for count in range(_MOST_ROUNDS):
             start, whole = _STEPS_A_ROUND * count, _STEPS_A_ROUND * _USUAL_ROUNDS
@@ -155,9 +227,90 @@ class Deconvolution:
             if epsilon <= _LEAST_EPSILON and settled:
                 break
             epsilon = max(epsilon / 2, _LEAST_EPSILON)
+            if count == _PROBED_AFTER and (share := self._misfit(sharp)) > 0:
+                return self._despite_misfit(scales, share, progress) * self._unit
             if count in _CHECKED_AFTER and self._sure is not None:
                 scales, sharp = self._with_less_blur(scales, sharp)
         return sharp[self._blur.inner] * self._unit
+
+    def _begun(self, scales: Float32) -> Float32:
+        """Take scales for the blur; return the picture, filtered once, on the domain."""
+        self._blur_by(scales)
+        sharp = self._blur.extend(self._color)
+        sharp += self._preconditioner(self._negative_gradient(sharp)[0])
+        return sharp
+
+    def _misfit(self, sharp: Float32) -> float:
+        """Return how much of the usual misfit a picture has, 0 to 1, from the residual.
+
+        If lens and map are right, f explains the picture up to a part of the noise. The geometric
+        mean says so of most of the picture; a few wrong places do not matter to it. Where the
+        residual is large does not tell where the model is wrong: what fits it there is in f.
+        """
+        power = self._residual_power(sharp) / max(self._noise_variance, _LEFT_BY_TV)
+        middle = float(np.exp(np.mean(np.log(np.maximum(power, _LEAST_POWER)), dtype=np.float64)))
+        return float(np.clip((middle - _FITS) / (_FAILS - _FITS), 0, 1))
+
+    def _despite_misfit(self, scales: Float32, share: float, progress: Progress) -> Float32:
+        """Return the mean of two pictures, each with less of the blur taken away.
+
+        The misfit counts as noise, for data weights and lambda. What a large lambda takes from
+        the picture beside its noise, its fine texture, is given back.
+        """
+        self._misfit_variance = share * _MISFIT * float(np.mean(self._color.var(axis=(0, 1))))
+        self._noise_variance += self._misfit_variance
+        if self._follows_misfit:
+            self._tv_weight += _TV_OF_MISFIT * self._misfit_variance
+        noise = self._noise_variance - self._misfit_variance
+        deviations = (0.0,) if self._sure is None else _LOWERED
+        sharp = np.zeros_like(self._color)
+        whole = _STEPS_A_ROUND * _MISFIT_ROUNDS * len(deviations)
+        probed = (_PROBED_AFTER + 1) / _USUAL_ROUNDS
+        for number, lowered in enumerate(deviations):
+            one = self._begun(self._lowered(scales, share * lowered))
+            epsilon = _FIRST_EPSILON
+            for count in range(_MISFIT_ROUNDS):
+                start = _STEPS_A_ROUND * (_MISFIT_ROUNDS * number + count)
+                for step in self._pcg_steps(one, epsilon):
+                    done = probed + (1 - probed) * (start + step) / whole
+                    progress("Taking the blur away with care: lens or map may not fit", done)
+                epsilon = max(epsilon / 2, _LEAST_EPSILON)
+            sharp += one[self._blur.inner] + share * self._texture(one, noise)
+        sharp /= np.float32(len(deviations))
+        return sharp
+
+    def _lowered(self, scales: Float32, deviations: float) -> Float32:
+        """Return scales lowered by so many standard deviations of a normal distribution.
+
+        That which is right to half a px with the probability that the confidence says.
+        """
+        if self._sure is None:
+            return scales
+        within = np.maximum(erfinv(np.minimum(self._sure, 0.999)), _LEAST_SHARE_WITHIN)
+        deviation = np.minimum(_TOLERATED / (np.sqrt(2) * within), _LARGEST_DEVIATION)
+        return np.maximum(scales - deviations * deviation, 0).astype(np.float32)
+
+    def _texture(self, sharp: Float32, noise: float) -> Float32:
+        """Return what f does not explain, less the share of it that is noise."""
+        error = self._color - self._blur.apply(sharp)
+        if self._clipped is not None:
+            error[self._clipped & (error < 0)] = 0
+        if self._opaque is not None:
+            error *= self._opaque[..., None]
+        power = max(float(np.mean(error**2, dtype=np.float64)), noise)
+        return error * np.float32(1 - noise / power)
+
+    def _residual_power(self, sharp: Float32) -> Float32:
+        """Return the local power of g - A f, (H, W), where light is not clipped."""
+        error = self._blur.apply(sharp) - self._color
+        square, known = np.mean(error**2, axis=2), np.ones(error.shape[:2], np.float32)
+        if self._clipped is not None:
+            known[self._clipped.any(axis=2)] = 0
+        if self._opaque is not None:
+            known *= self._opaque
+        power = gaussian_filter(square * known, _RESIDUAL_SIGMA)
+        power /= np.maximum(gaussian_filter(known, _RESIDUAL_SIGMA), _LEAST_KNOWN)
+        return power
 
     def _blur_by(self, scales: Float32) -> None:
         self._blur = BlurOperator(scales, self._psf, self._color.shape[2])
@@ -224,12 +377,7 @@ class Deconvolution:
         Too small a scale leaves blur, but hardly an error; too large a one, or two depths under
         one PSF, cannot be explained by any picture that is not full of rings.
         """
-        error = self._blur.apply(sharp) - self._color
-        square, known = np.mean(error**2, axis=2), np.ones(scales.shape, np.float32)
-        if self._clipped is not None:
-            known[self._clipped.any(axis=2)] = 0
-        power = gaussian_filter(square * known, _RESIDUAL_SIGMA)
-        power /= np.maximum(gaussian_filter(known, _RESIDUAL_SIGMA), _LEAST_KNOWN)
+        power = self._residual_power(sharp)
         expected = _GROSS * (self._noise_variance + _VISIBLE)
         share = np.sqrt(expected / np.maximum(power, expected))
         share = minimum_filter(np.maximum(share, _LEAST_SHARE), 2 * _RESIDUAL_REACH + 1)

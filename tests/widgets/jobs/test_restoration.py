@@ -73,6 +73,13 @@ def test_what_the_blur_map_widget_has_estimated_is_used(viewer, leaf, method):
     assert len(method.estimations) == 1
 
 
+@pytest.mark.parametrize("misfit", [0.0, 7e-5])
+def test_summary_says_so_if_the_picture_does_not_fit_its_map(viewer, leaf, method, misfit):
+    method.misfit = misfit
+    results = restoration(viewer, leaf).run(JobCache())
+    assert ("may not fit its map" in results.summary) == (misfit > 0)
+
+
 def test_settings_reach_the_method(viewer, leaf, method):
     cache = JobCache()
     restoration(viewer, leaf, linearize="srgb", noise_variance=1e-4, tv_weight=2e-3).run(cache)

@@ -26,8 +26,9 @@ class RestorationForm:
             "smoothing",
             RestorationSettings.tv_weight,
             "How much noise is smoothed away where the blur is taken away, such as 1e-3, for "
-            "intensities from 0 to 1. Leave it empty to have it found from the noise. Higher is "
-            "calmer, lower is crisper, with more noise and ringing.",
+            "intensities from 0 to 1. Leave it empty to have it found from the noise, and from how "
+            "badly the picture fits its map. Higher is calmer, "
+            "lower is crisper, with more noise and ringing.",
         )
 
     def fields(self) -> list[Widget]:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from napari_defocus.core.intensity import Intensities
     from napari_defocus.labeling.problem import Ingredients
     from napari_defocus.likelihood.psf_choice import PSFChoice
+    from napari_defocus.restoration.all_in_focus import RestorationFit
 
 Float32 = NDArray[np.float32]
 T = TypeVar("T")
@@ -188,7 +189,7 @@ class JobCache:
 
     def __init__(self) -> None:
         self.maps: LayerCache[EstimatedMap] = LayerCache()
-        self.restored: LayerCache[NDArray[np.float32]] = LayerCache()
+        self.restored: LayerCache[tuple[NDArray[np.float32], RestorationFit]] = LayerCache()
         self.analysed: LayerCache[Analysed] = LayerCache()
 
 

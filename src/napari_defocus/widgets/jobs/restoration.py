@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from napari.types import LayerDataTuple
@@ -26,7 +26,15 @@ from napari_defocus.widgets.layers.result_metadata import (
     result_layer,
 )
 
+if TYPE_CHECKING:
+    from napari_defocus.restoration.all_in_focus import RestorationFit
+
 Float32 = NDArray[np.float32]
+
+_MISFIT = (
+    "The picture may not fit its map: the lens, or the map, is another, or noise hides it. "
+    "Less blur is taken away, with more care."
+)
 
 _LITTLE = 0.5
 """Of the range: 12 bits in 16 would be black."""
@@ -86,7 +94,7 @@ class Restoration:
             None if confidence is None else fingerprint(confidence),
         )
 
-        def restore() -> Float32:
+        def restore() -> tuple[Float32, RestorationFit]:
             tv_weight = self.settings.tv_weight
             how = all_in_focus.Restoration(blur_map.psf, noise_variance, tv_weight, self.linearize)
             report = within(progress, _MAP_SHARE, 1.0)
@@ -94,12 +102,14 @@ class Restoration:
                 pipeline.restore, picture.image, values, confidence, how, progress=report
             )
 
-        sharp = cache.restored.get(self.plane.layer, key, restore)
-        return Restored(picture, blur_map, sharp, noise_variance)
+        sharp, fit = cache.restored.get(self.plane.layer, key, restore)
+        return Restored(picture, blur_map, sharp, fit)
 
     def summary(self, made: Restored) -> str:
         """Return what there is to say about what was made."""
-        lines = [noise_description(self.settings.noise_variance, [made.noise_variance])]
+        lines = [noise_description(self.settings.noise_variance, [made.fit.noise_variance])]
+        if made.fit.misfit > 0:
+            lines.append(_MISFIT)
         confidence = made.blur_map.confidence
         if confidence is not None:
             lines.append(confidence_description((confidence >= CONFIDENT).mean()))
@@ -118,14 +128,14 @@ class Restored:
     blur_map : BlurMap
     sharp : (H, W) or (H, W, 3) float32 ndarray
         In [0, 1].
-    noise_variance : float
-        The variance that was used, found or given.
+    fit : RestorationFit
+        How well the picture fits its map; the noise and the lambda that were used.
     """
 
     picture: Picture
     blur_map: BlurMap
     sharp: Float32
-    noise_variance: float
+    fit: RestorationFit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +195,8 @@ def _picture_layer(
         **settings,
     }
     facts = {
-        "noise_variance": made.noise_variance,
+        "noise_variance": made.fit.noise_variance,
+        "misfit": made.fit.misfit,
         "intensities": made.picture.intensities.facts(),
         "blur_map": made.blur_map.name,
     }
