@@ -17,7 +17,7 @@ MAIN_MEASURES = (
     "time",
     "largest memory",
 )
-PARTS = ("accuracy", "photographs", "energy", "restoration", "sizes")
+PARTS = ("accuracy", "photographs", "real", "energy", "restoration", "sizes")
 METHODS = (OURS, PAPER, *SCORES)
 _NOT_IN_TABLE = ("without a step", "with an option", "search for", "photograph ", "uniform, ")
 _KEPT_UNIFORM = "uniform, noise"

@@ -2,8 +2,9 @@
 
     python benchmarks/run_all.py [--quick] [--data FOLDER] [--compare OLD.json] [--out FOLDER]
 
-Accuracy on pictures of known blur and on outlined photographs, the calibration of the confidence,
-the energy of labels, restoration, time and memory, and what each step beyond the paper gains.
+Accuracy on pictures of known blur, on outlined photographs and on real pictures with a known
+answer, the calibration of the confidence, the energy of labels, restoration, time and memory, and
+what each step beyond the paper gains.
 Prints one Markdown table. With --out, writes peers.md, ablation.md, their plots and numbers.json
 there: `--out docs/measured` brings the documentation up to date. With --compare, tells what became
 better or worse than in an earlier numbers.json, beyond the spread. All of it takes about 25 minutes
@@ -26,6 +27,7 @@ from in_focus import measure_photographs
 from pages import ablation_page, main_table, peers_page
 from pictures import middle, photographs, whole_sharp_pictures
 from plots import drawn
+from real_numbers import measure_real
 from record import Record, circumstances, compared, load
 from restoration import as_floats, measure_restoration
 from scenes import groups
@@ -33,7 +35,7 @@ from sizes import measure_sizes
 
 from napari_defocus.core.writing import write_results
 
-PARTS = ("accuracy", "photographs", "energy", "restoration", "sizes", "ablation")
+PARTS = ("accuracy", "photographs", "real", "energy", "restoration", "sizes", "ablation")
 NUMBERS = "numbers.json"
 QUICK_SOURCES = 2
 ENERGY_SIDE, QUICK_ENERGY_SIDE = 240, 120
@@ -94,6 +96,7 @@ def parsed_arguments() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="less of everything, in 3 minutes")
     parser.add_argument("--data", type=Path, help="folder of sharp pictures; scikit-image's own")
     parser.add_argument("--photos", type=Path, help="folder of the outlined photographs")
+    parser.add_argument("--real", type=Path, help="folder of real pictures with known answers")
     parser.add_argument("--compare", type=Path, help="numbers.json of an earlier run")
     parser.add_argument("--out", type=Path, help="folder for pages, plots and numbers.json")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS, help="some parts")
@@ -104,9 +107,12 @@ def parsed_arguments() -> argparse.Namespace:
         arguments.pictures = QUICK_SOURCES
     if arguments.pictures is not None and arguments.pictures < 2:
         parser.error(f"--pictures is {arguments.pictures}; it takes a whole number from 2 up")
-    beside = arguments.data and arguments.data.resolve().parent / "photos"
-    if arguments.photos is None and beside and beside.is_dir():
-        arguments.photos = beside
+    beside = arguments.data and arguments.data.resolve().parent
+    for name in ("photos", "real"):
+        if getattr(arguments, name) is None and beside and (beside / name).is_dir():
+            setattr(arguments, name, beside / name)
+    if arguments.real is None:
+        arguments.only = [part for part in arguments.only if part != "real"]
     return arguments
 
 
@@ -124,6 +130,7 @@ def measurements(
     return {
         "accuracy": lambda: measure_accuracy(groups(sources, quick=quick, seed=seed), record),
         "photographs": lambda: measure_photographs(photos, record),
+        "real": lambda: measure_real(arguments.real, record),
         "energy": lambda: measure_energy(some, side, record),
         "restoration": lambda: measure_restoration(sharp, record, quick=quick),
         "sizes": lambda: measure_sizes(record, quick=quick),
