@@ -36,8 +36,11 @@ def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[F
         The same for half as many rows and columns, rounded up.
     """
     rows, columns = (-(-length // 2) for length in data.shape[:2])
+    # One copy of the costs, not two: they are most of the memory of labelling.
     padded = np.zeros((2 * rows, 2 * columns, data.shape[2]), np.float32)
-    padded[: data.shape[0], : data.shape[1]] = data if agreed else _relaxed(data, weights)
+    padded[: data.shape[0], : data.shape[1]] = data
+    if not agreed:
+        _relax(padded, weights)
     joined = padded.reshape(rows, 2, columns, 2, -1).sum(axis=(1, 3))
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)
@@ -48,15 +51,15 @@ def finer(labels: Labels, rows: int, columns: int) -> Labels:
     return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
 
 
-def _relaxed(data: Float32, weights: Float32) -> Float32:
-    """Let each node leave the common label at the price of its own edges.
+def _relax(cost: Float32, weights: Float32) -> None:
+    """Let each node leave the common label at the price of its own edges, in place.
 
-    Returns min_m D(m) + w |l - m|: joined nodes need not agree on one label, as they cannot
-    where the blur is steep.
+    Costs become min_m D(m) + w |l - m|: joined nodes need not agree on one label, as they cannot
+    where the blur is steep. Nodes beyond the grid cost nothing, and keep to that.
     """
-    relaxed = data.copy()
-    in_bands(_relax_rows, len(data), _RELAXATION * weights.sum(axis=0), relaxed)
-    return relaxed
+    price = np.zeros(cost.shape[:2], np.float32)
+    price[: weights.shape[1], : weights.shape[2]] = _RELAXATION * weights.sum(axis=0)
+    in_bands(_relax_rows, len(cost), price, cost)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
