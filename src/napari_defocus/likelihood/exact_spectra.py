@@ -24,6 +24,10 @@ TABLE_STEP = 0.02
 """px between the scales of a table, at most. Chosen by hand."""
 
 
+_USUAL_DOMAIN = 8.0
+"""px, of windows of 41 px; smaller ones are asked for as much, if they hold such a disc."""
+
+
 def check_side(window: int) -> int:
     """Return the side of windows, in px, after a check of it."""
     if not isinstance(window, (int, np.integer)) or window % 2 == 0 or window < MIN_WINDOW:
@@ -39,7 +43,9 @@ def domain_of_window(window: int) -> float:
 def within_window(psf: PSFFamily | Callable[[float], ArrayLike], window: int) -> PSFFamily:
     """Return the PSF family; with a smaller domain, if windows, of a side in px, are too small."""
     family, domain = as_family(psf), domain_of_window(check_side(window))
-    return family if 2 * family.max_scale <= window else limited(family, domain)
+    if 2 * family.max_scale <= window:
+        return family
+    return limited(family, max(domain, min(_USUAL_DOMAIN, window / 2)))
 
 
 def log_blur_spectra(

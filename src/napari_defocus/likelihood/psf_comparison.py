@@ -20,7 +20,7 @@ from napari_defocus.likelihood.window_evidence import (
     Windows,
     family_fit,
 )
-from napari_defocus.psf.families import PSFFamily
+from napari_defocus.psf.families import PSFFamily, as_family
 from napari_defocus.psf.parsing import psf_text
 from napari_defocus.settings import MapSettings
 
@@ -179,7 +179,7 @@ def compare_psf(
         progress("Comparing PSF families", index / len(checked))
         fits.append(family_fit([windows], psf, camera_softness))
     progress("Comparing PSF families", 1.0)
-    rows = _rows(checked, fits)
+    rows = _rows([as_family(psf) for psf in given], fits)
     return PSFComparison(rows, len(windows.power), windows.noise_variance, picture.intensities)
 
 
