@@ -44,6 +44,7 @@ from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
+from napari_defocus.likelihood.scale_space import _add_level, _interpolate
 from napari_defocus.restoration.deconvolution import _graph_laplacian, _irls_weights
 from napari_defocus.stacks.depth_from_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
 
@@ -454,6 +455,26 @@ def test_deviance_of_a_focus_is_that_of_the_best_power_that_planes_have_in_commo
     degrees = heard.sum(axis=1) * members.sum()
     fitted = np.maximum(2 * deviance.min(axis=1) / degrees, _LEAST_DISPERSION)
     np.testing.assert_allclose(dispersion, fitted, rtol=1e-5)
+
+
+def test_curves_between_windows_are_interpolated_and_added():
+    curve = np.random.default_rng(0).uniform(-15, 0, (4, 5, 7)).astype(np.float32)
+    rows, columns = np.array([0.0, 0.25, 3.0]), np.array([0.0, 1.5, 4.0])
+    places = np.meshgrid(rows, columns, indexing="ij")
+    expected = np.stack(
+        [map_coordinates(curve[..., k].astype(float), places, order=1) for k in range(7)], axis=2
+    )
+    found = np.empty((3, 3, 7), np.float32)
+    _interpolate(0, 3, curve, rows, columns, found)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    total = np.ones((3, 3, 7), np.float32)
+    keep = np.full((3, 3), 0.5, np.float32)
+    gain = np.full((3, 3), 2.0, np.float32)
+    keep[0, 0], gain[0, 0] = 1, 0
+    _add_level(0, 3, curve, rows, columns, keep, gain, total)
+    expected = 0.5 + 2 * expected
+    expected[0, 0] = 1
+    np.testing.assert_allclose(total, expected, rtol=1e-5)
 
 
 @pytest.mark.skipif(not numba.config.DISABLE_JIT, reason="compiled calls cannot be watched")

@@ -286,7 +286,7 @@ def test_what_is_there_is_not_overwritten_and_results_are_no_inputs(photographs,
         ({"min_confidence": 2}, "min_confidence is 2"),
         ({"file_format": "png"}, "file_format is 'png'"),
         ({"block_size": 10}, "block_size is 10"),
-        ({"settings": Settings(mask=MaskSettings(threshold=9))}, "threshold is 9"),
+        ({"settings": Settings(mask=MaskSettings(threshold=65))}, "threshold is 65"),
     ],
 )
 def test_impossible_settings_are_said_first(photographs, tmp_path, arguments, saying):

@@ -728,7 +728,6 @@ def test_picture_that_the_method_does_not_take(tmp_path):
         ("map", "--noise-variance", -1, "noise_variance"),
         ("map", "--noise-variance", "nan", "noise_variance"),
         ("map", "--max-radius", 0, "max_radius"),
-        ("map", "--max-radius", 100, "largest scale"),
         ("map", "--psf", "square", "psf is 'square'"),
         ("map", "--psf", "polygon:2", "blades"),
         ("map", "--psf", "none.npz", "no such file"),

@@ -124,7 +124,7 @@ def test_lens_is_what_the_photograph_notes_and_what_is_given(folder, instant):
     used = ThinLens(focal_length_mm=50, f_number=4, focus_distance_m=3, pixel_pitch_um=1)
     distance = float(depth_from_blur(4.0, used))
     assert f"depth        median {distance:.4g} m" in result.stdout
-    limit = float(depth_from_blur(8.0, used))
+    limit = float(depth_from_blur(64.0, used))
     assert f"limit        {limit:.4g} m has the largest blur that is looked for" in result.stdout
     np.testing.assert_allclose(tifffile.imread(folder / "noted-depth.tif"), distance)
 

@@ -434,9 +434,9 @@ def test_map_brings_its_lens_unless_another_is_given(folder, instant):
     assert instant["restore_all_in_focus"]["psf"].obstruction == 0.4
 
 
-@pytest.mark.parametrize(("psf", "max_scale"), [("disc", 12.0), ("gaussian", 12.0)])
+@pytest.mark.parametrize(("psf", "max_scale"), [("disc", 80.0), ("gaussian", 80.0)])
 def test_map_may_go_beyond_the_largest_radius(folder, instant, psf, max_scale):
-    save_map(folder / "blur.tif", np.full((HEIGHT, WIDTH), 12.0))
+    save_map(folder / "blur.tif", np.full((HEIGHT, WIDTH), 80.0))
     given = ["--map", folder / "blur.tif", "--psf", psf]
     assert run("restore", folder / "p.png", *given).exit_code == 0
     assert instant["restore_all_in_focus"]["psf"].max_scale == max_scale

@@ -179,7 +179,7 @@ def test_picture_depth_and_radii_are_left_as_they_were():
         (DEPTH, 3.0, "radius_of_depth has shape"),
         (DEPTH, -DEPTH, "radius_of_depth has scales"),
         (DEPTH, DEPTH * np.nan, "radius_of_depth has scales"),
-        (DEPTH, lambda depth: 3 * depth, "radius_of_depth returned scales"),
+        (DEPTH, lambda depth: 30 * depth, "radius_of_depth returned scales"),
         (DEPTH, lambda depth: 3.0, "radius_of_depth returned shape"),
     ],
 )

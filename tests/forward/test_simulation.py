@@ -114,7 +114,7 @@ def test_noise_is_that_of_its_seed():
         3.0,
         np.zeros((30, 40, 1)),
         np.full((30, 40), -0.1),
-        np.full((30, 40), 8.01),
+        np.full((30, 40), 64.01),
         np.full((30, 40), np.nan),
         np.full((30, 40), np.inf),
     ],

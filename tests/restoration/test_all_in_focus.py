@@ -267,7 +267,7 @@ PICTURE, MAP = np.zeros((8, 9)), np.ones((8, 9))
         (("text", MAP), {}, TypeError, "image"),
         ((PICTURE, MAP[:4]), {}, ValueError, "blur_map has shape"),
         ((PICTURE, MAP + 1j), {}, TypeError, "blur_map"),
-        ((PICTURE, 9 * MAP), {}, ValueError, "blur_map has scales"),
+        ((PICTURE, 90 * MAP), {}, ValueError, "blur_map has scales"),
         ((PICTURE, np.nan * MAP), {}, ValueError, "blur_map"),
         ((PICTURE, MAP), {"psf": 3}, TypeError, "psf"),
         ((PICTURE, MAP), {"noise_variance": -1.0}, ValueError, "noise_variance"),

@@ -308,7 +308,7 @@ def test_family_of_ones_own_is_not_asked_for_more_than_it_can(taken, restored, p
         ({"blur_map": RADIUS[1:]}, ValueError, "blur_map has shape"),
         ({"blur_map": RADIUS * 1j}, TypeError, "blur_map has dtype"),
         ({"blur_map": RADIUS - 1}, ValueError, "blur_map has scales from -1"),
-        ({"blur_map": 3 * RADIUS}, ValueError, "blur_map has scales from 0.0 to 9"),
+        ({"blur_map": 30 * RADIUS}, ValueError, "blur_map has scales from 0.0 to 90"),
         ({"blur_map": RADIUS * np.nan}, ValueError, "blur_map has scales"),
         ({"focus": math.nan}, ValueError, "focus is nan; it takes a finite number"),
         ({"focus": "3 px"}, TypeError, "focus is '3 px'; it takes a finite number"),

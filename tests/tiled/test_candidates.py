@@ -27,7 +27,7 @@ from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr import read_ome_zarr
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr
 from napari_defocus.io.tiled_stores import store
-from napari_defocus.settings import MapSettings
+from napari_defocus.settings import MapSettings, RestorationSettings
 from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.tile_tasks import Wanted
 
@@ -61,7 +61,8 @@ def lazy(picture):
 
 @pytest.fixture(scope="module")
 def in_parts(picture, lazy):
-    wanted = Wanted(map=MapSettings(), confidence=True, risk=0.1, extrapolated=True)
+    risk = RestorationSettings.risk
+    wanted = Wanted(map=MapSettings(), confidence=True, risk=risk, extrapolated=True)
     return dask.compute(lazy.measure(wanted))[0]
 
 

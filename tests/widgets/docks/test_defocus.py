@@ -115,15 +115,18 @@ def test_new_seeds_are_ready_to_paint(viewer, measured):
     assert measured.seeds.value == seeds
 
 
-def test_earlier_results_stay_if_that_is_wanted(viewer, measured, finish):
+def test_earlier_results_stay_if_that_is_wanted(viewer, measured, finish, method):
     before = viewer.layers["leaf blur (px)"].data.copy()
     measured.keep_earlier.value = True
-    measured.settings.max_radius.value = 6.0
+    measured.settings.max_radius.value = 16.0
+    method.radius = 11.3
     finish(measured)
+    assert [call["psf"].max_radius for call in method.estimations] == [64.0, 16.0]
     expected = {"leaf blur (px)", "leaf blur (px) 2", "leaf confidence 2", "leaf in focus 2"}
     assert expected <= set(names(viewer))
     np.testing.assert_array_equal(viewer.layers["leaf blur (px)"].data, before)
-    assert tuple(viewer.layers["leaf blur (px) 2"].contrast_limits) == (0.0, 6.0)
+    assert tuple(viewer.layers["leaf blur (px)"].contrast_limits) == (0.0, 8.0)
+    assert tuple(viewer.layers["leaf blur (px) 2"].contrast_limits) == (0.0, 12.0)
 
 
 def test_results_go_with_a_picture_that_is_renamed(viewer, measured, finish, qtbot, method):

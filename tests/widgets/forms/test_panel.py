@@ -72,7 +72,10 @@ def test_form_reaches_the_method(viewer, opened, finish, method, texture):
     finish(widget)
     assert method.estimations[0]["noise_variance"] == 1e-4
     assert method.segmentations[0]["threshold"] == 3
-    assert tuple(viewer.layers["leaf blur (px)"].contrast_limits) == (0.0, 5.0)
+    assert method.estimations[0]["psf"].max_radius == 5
+    blur_map = viewer.layers["leaf blur (px)"]
+    assert blur_map.metadata["napari_defocus"]["settings"]["max_radius"] == 5
+    assert tuple(blur_map.contrast_limits) == (0.0, 8.0)
 
 
 def test_lens_light_and_noise_of_the_form_reach_the_method(viewer, opened, finish, method, texture):
@@ -85,7 +88,7 @@ def test_lens_light_and_noise_of_the_form_reach_the_method(viewer, opened, finis
     assert not widget.settings.noise_variance.enabled
     finish(widget)
     [estimation] = method.estimations
-    assert estimation["psf"] == GeneralizedGaussian(4.0, 8.0)
+    assert estimation["psf"] == GeneralizedGaussian(4.0, 64.0)
     assert estimation["linearize"] == "srgb"
     assert estimation["noise_variance"] == ShotNoise(1e-5, 1e-4)
     assert tuple(viewer.layers["leaf blur (px)"].contrast_limits) == (0.0, 8.0)

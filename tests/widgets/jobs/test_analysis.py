@@ -123,7 +123,9 @@ def test_lens_and_threshold_that_cannot_be_are_refused_before_any_work(viewer, l
     with pytest.raises(ValueError, match="no such file"):
         analysis(viewer, layer, psf="none.npz")
     with pytest.raises(ValueError, match="below 8 px"):
-        analysis(viewer, layer, psf="gaussian", threshold=8.5)
+        analysis(viewer, layer, psf="gaussian", max_radius=8.0, threshold=8.5)
+    with pytest.raises(ValueError, match="below 64 px"):
+        analysis(viewer, layer, psf="gaussian", threshold=65.0)
     assert not method.estimations
 
 

@@ -88,7 +88,11 @@ def test_lens_of_a_map_of_somebody_else_is_what_the_form_says(viewer, leaf):
 
 def test_domain_of_the_lens_reaches_as_far_as_the_map(viewer, leaf):
     theirs = viewer.add_image(np.full(leaf.data.shape, 11.0), name="theirs")
-    assert read(source(theirs, leaf, viewer), leaf, viewer).psf == Disc(11.0)
+    assert read(source(theirs, leaf, viewer), leaf, viewer).psf == Disc(64.0)
+    theirs.data = np.full(leaf.data.shape, 70.0)
+    assert read(source(theirs, leaf, viewer), leaf, viewer).psf == Disc(70.0)
+    ours, _ = results_on(leaf, viewer, radius=11.0, max_radius=8.0)
+    assert read(source(ours, leaf, viewer), leaf, viewer).psf == Disc(11.0)
 
 
 def test_confidence_of_the_same_estimation_is_found(viewer, leaf):
@@ -154,11 +158,14 @@ def test_gaps_are_no_harm_until_something_is_restored(viewer, leaf):
         found.checked_for_restoration()
 
 
-@pytest.mark.parametrize(("psf", "largest"), [("disc", 21.0), ("gaussian", 21.0)])
-def test_map_beyond_what_is_restored_is_refused(viewer, leaf, psf, largest):
-    theirs = viewer.add_image(np.full(leaf.data.shape, largest), name="theirs")
+@pytest.mark.parametrize("psf", ["disc", "gaussian"])
+def test_map_beyond_what_is_restored_is_refused(viewer, leaf, psf):
+    theirs = viewer.add_image(np.full(leaf.data.shape, 128.0), name="theirs")
     found = read(source(theirs, leaf, viewer, psf), leaf, viewer)
-    with pytest.raises(ValueError, match="a radius of 21 px; up to 20 px"):
+    assert found.checked_for_restoration().max() == 128
+    theirs.data = np.full(leaf.data.shape, 129.0)
+    found = read(source(theirs, leaf, viewer, psf), leaf, viewer)
+    with pytest.raises(ValueError, match="a radius of 129 px; up to 128 px"):
         found.checked_for_restoration()
 
 

@@ -190,11 +190,14 @@ def test_what_does_not_fit_into_memory_goes_to_the_disk_if_there_is_room(viewer,
 
 def test_impossible_settings_and_seeds_are_refused_before_any_work(viewer, stack, method):
     layer = viewer.add_image(stack)
+    plane = shown_plane(layer, viewer.dims)
     with pytest.raises(ValueError, match="below 8 px"):
-        wanted(shown_plane(layer, viewer.dims), mask=MaskSettings(threshold=9.0))
+        wanted(plane, mask=MaskSettings(threshold=9.0), estimation=MapSettings(max_radius=8.0))
+    with pytest.raises(ValueError, match="below 64 px"):
+        wanted(plane, mask=MaskSettings(threshold=65.0))
     short = viewer.add_labels(np.zeros((30, 40), int), name="mine")
     with pytest.raises(ValueError, match="“mine” cannot be the seeds"):
-        wanted(shown_plane(layer, viewer.dims), seeds=short)
+        wanted(plane, seeds=short)
     assert not method.estimations
 
 

@@ -74,19 +74,26 @@ def test_blur_map_has_one_colour_range_and_a_colour_bar(viewer, texture):
     blur_map, _ = add_results(viewer, results_of(plane, radius=2.5, max_radius=6.0))
     assert isinstance(blur_map, Image)
     assert blur_map.name == "leaf blur (px)"
-    assert tuple(blur_map.contrast_limits) == (0.0, 6.0)
-    assert tuple(blur_map.contrast_limits_range) == (0.0, 6.0)
+    assert tuple(blur_map.contrast_limits) == (0.0, 8.0)
+    assert tuple(blur_map.contrast_limits_range) == (0.0, 8.0)
     assert blur_map.colorbar.visible
+
+
+def test_colour_range_of_much_blur_reaches_as_far_as_the_map(viewer, texture):
+    plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
+    blur_map, _ = add_results(viewer, results_of(plane, radius=11.3, max_radius=64.0))
+    assert tuple(blur_map.contrast_limits) == (0.0, 12.0)
+    assert tuple(blur_map.contrast_limits_range) == (0.0, 12.0)
 
 
 @pytest.mark.parametrize("psf", ["polygon:6", "gaussian", "generalized-gaussian:4"])
 def test_blur_map_is_in_px_of_radius_whatever_the_lens(viewer, texture, psf):
     plane = plane_of(viewer.add_image(texture, name="leaf"), viewer)
-    settings = MapSettings(psf=psf, max_radius=6.0)
-    blur_map = blur_map_layer(plane, np.ones(texture.shape), settings, 3e-5)
+    settings = MapSettings(psf=psf, max_radius=16.0)
+    blur_map = blur_map_layer(plane, np.full(texture.shape, 11.3), settings, 3e-5)
     [layer] = add_results(viewer, [blur_map])
     assert layer.name == "leaf blur (px)"
-    assert tuple(layer.contrast_limits) == (0.0, 6.0)
+    assert tuple(layer.contrast_limits) == (0.0, 12.0)
     assert layer.metadata[METADATA_KEY]["scale"] == "blur radius (px)"
 
 
@@ -178,10 +185,10 @@ def test_second_run_updates_the_layers_and_keeps_the_users_colours(viewer, textu
     first = add_results(viewer, results_of(plane_of(picture, viewer)))
     first[0].colormap, first[1].opacity = "magma", 0.9
     picture.scale = (3, 3)
-    second = add_results(viewer, results_of(plane_of(picture, viewer), radius=4, max_radius=12))
+    second = add_results(viewer, results_of(plane_of(picture, viewer), radius=12, max_radius=16))
     assert second == first
     assert len(viewer.layers) == 3
-    assert (first[0].data == 4).all()
+    assert (first[0].data == 12).all()
     assert tuple(first[0].contrast_limits) == (0.0, 12.0)
     assert first[0].colormap.name == "magma"
     assert first[1].opacity == 0.9
