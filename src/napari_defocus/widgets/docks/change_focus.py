@@ -161,7 +161,7 @@ class ChangeFocusWidget(FromMapPanel):
         self.focus.largest = self._largest_focus()
 
     def _largest_focus(self) -> float:
-        layer = self.blur_map.value
+        layer = self._known_map()
         if layer is None:
             return LEAST_COLOR_LIMIT
         return float(np.clip(layer.contrast_limits_range[1], 1.0, LARGEST_RADIUS))

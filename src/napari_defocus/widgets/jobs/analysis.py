@@ -42,6 +42,7 @@ from napari_defocus.widgets.layers.seeds import Seeds
 
 if TYPE_CHECKING:
     from napari_defocus import PSFEvidence
+    from napari_defocus.psf.families import PSFFamily
 
 Preview = Callable[[list[LayerDataTuple]], None]
 
@@ -73,7 +74,15 @@ class Wanted:
         """Refuse impossible settings before any work is done with them."""
         family = self.estimation.family()
         if self.mask is not None:
-            check_threshold(self.mask.threshold, family.max_scale)
+            check_threshold(self.mask.threshold, self._largest_looked_for(family))
+
+    def _largest_looked_for(self, family: PSFFamily) -> float:
+        """Return the largest scale, in px, that a picture of this size is searched up to."""
+        from napari_defocus.likelihood.estimation import Estimation
+
+        settings = self.estimation
+        how = Estimation(family, settings.window, settings.stride, settings.mode)
+        return how.for_shape(self.plane.shape).psf.max_scale
 
     @property
     def dtypes(self) -> dict[str, type]:
