@@ -2,11 +2,11 @@
 
     python benchmarks/real.py --real ../shared/data/real
 
-Prints tables in Markdown. Phones: photographs with radii that were measured from a sharp picture of
-the scene, binned 3 x 3 (1 to 6.6 px) and at full size (5 to 20 px). Mitochondria: fluorescence at
-known distances from focus.
-Nuclei: drawn as a camera with an offset and photon noise sees them. Plain shapes: diamonds with
-nothing inside, through a perfect and a soft camera. Walls: a house at high ISO.
+Prints tables in Markdown. Phones: photographs with radii that were measured from a sharp picture
+of the scene, binned 3 x 3 (1 to 6.6 px) and at full size (5 to 20 px). Mitochondria: fluorescence
+at known distances from focus. Nuclei: drawn as a camera with an offset and photon noise sees
+them. Plain shapes: diamonds with nothing inside, through a perfect and a soft camera. Walls: a
+house at high ISO.
 """
 
 from __future__ import annotations

@@ -65,6 +65,11 @@ class Measurement:
         return None if self.candidates is None else self.candidates.psf_choice
 
     @property
+    def doubt(self) -> str | None:
+        """Why the picture does not look like defocus; None if it may, or was not measured."""
+        return None if self.candidates is None else self.candidates.doubt
+
+    @property
     def image_shape(self) -> tuple[int, int]:
         """Height and width of the picture, in px."""
         return self.blur_map.shape[0], self.blur_map.shape[1]

@@ -15,6 +15,7 @@ import tifffile
 import typer
 from command_line import assert_fails_in_one_line, full_disk, names_in, run
 from PIL import Image
+from scipy.ndimage import uniform_filter1d
 
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, MeasuredPSF, Polygon, ShotNoise
@@ -46,6 +47,7 @@ def instant(monkeypatch):
         noise = options["noise_variance"]
         return SimpleNamespace(
             psf_choice=None,
+            doubt=None,
             image_shape=image.shape[:2],
             noise_variance=1e-4,
             psf=options["psf"],
@@ -472,6 +474,17 @@ def test_lens_may_be_found_from_the_picture_and_is_told(seen_through_a_mirror_le
     facts = json.loads(run("segment", seen_through_a_mirror_lens, "--psf", "auto", "--json").stdout)
     assert facts["psf"] == "annulus:0.5"
     assert facts["psf_choice"]["found"]
+
+
+@pytest.mark.parametrize("command", ["map", "segment"])
+def test_picture_that_does_not_look_like_defocus_is_said_to(tmp_path, gravel, command):
+    moving = uniform_filter1d(gravel, 13, axis=1, mode="mirror")
+    path = tmp_path / "moving.png"
+    Image.fromarray(np.rint(255 * moving).astype(np.uint8)).save(path)
+    result = run(command, path)
+    assert result.exit_code == 0, result.output
+    assert "careful      This does not look like defocus" in result.stdout
+    assert "motion" in json.loads(run(command, path, "--json", "--force").stdout)["doubt"]
 
 
 def test_compare_psf_has_a_list_of_its_own(seen_through_a_mirror_lens):

@@ -49,6 +49,7 @@ def instant(monkeypatch):
         calls["candidates"] = options
         return SimpleNamespace(
             psf_choice=None,
+            doubt=None,
             image_shape=image.shape[:2],
             noise_variance=1e-4,
             psf=options["psf"],

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from napari_defocus import (
     cautious_blur_map,
@@ -63,6 +64,24 @@ def test_wrong_map_is_found_out(clouds, defocused):
     wrong = confidence_map(candidates, np.full((160, 160), 5.5))
     assert right.mean() > 0.85
     assert wrong.mean() < 0.2
+
+
+@pytest.mark.parametrize("texture", ["clouds", "gravel"])
+def test_motion_has_little_confidence(request, texture):
+    moving = uniform_filter1d(request.getfixturevalue(texture), 13, axis=1, mode="mirror")
+    moving = moving + np.random.default_rng(0).normal(0, 1e-3, moving.shape)
+    confidence, _ = confidence_of(moving)
+    assert confidence.mean() < 0.5
+
+
+def test_a_tenth_is_right_beyond_5_px(clouds, defocused):
+    candidates = estimate_candidates(defocused(clouds, 6))
+    at, within, beyond = (
+        confidence_map(candidates, np.full(clouds.shape, radius)).mean()
+        for radius in (6.0, 6.5, 7.8)
+    )
+    assert at > 0.8
+    assert within > 0.5 > beyond
 
 
 def test_jump_of_the_map_is_less_sure(scene):

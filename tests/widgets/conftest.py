@@ -178,6 +178,7 @@ class StandIn:
         progress("Estimating blur", 0.5)
         return SimpleNamespace(
             psf_choice=None,
+            doubt=None,
             image_shape=image.shape[:2],
             noise_variance=self.noise_variance,
             shot_noise=None,

@@ -283,16 +283,21 @@ def confidence_map(candidates: LazyCandidates, blur_map: Any) -> Any: ...
 
 
 def confidence_map(candidates: BlurCandidates | LazyCandidates, blur_map: ArrayLike) -> Float32:
-    """Return the probability that each radius of a blur map is right: to 0.5 px, or to a tenth.
+    """Return the probability that each radius of a blur map is right.
 
-    It comes from the whole curve log p(r): what share of the likelihood, limited in depth and
-    averaged over the neighbouring windows that the map was made coherent with, lies within
-    0.5 px of the map's value, beyond 5 px within a tenth of it. A logistic function of it and of
-    the largest difference that the map has within 31 px (beside a jump, windows see both sides)
-    was fitted once on simulated ramps and layered scenes, so that of the pixels with a confidence
-    of 0.8, 80 % are right.
-    Where the curve is flat, because there is no texture, the confidence is the share of all
-    radii that lie so near the map's value: 0.14 at most for radii up to 8 px.
+    That is within 0.5 px of the true one, beyond 5 px within a tenth of the map's value. The
+    confidence comes from the curve log p(r), averaged over the neighbouring windows that the map
+    was made coherent with: what share of the likelihood lies within that tolerance, how deep the
+    curve is, how far away its best radius lies. It also counts the largest difference that the map
+    has within 31 px, whether the radius can be told from a camera's own softness, the noise and the
+    power relative to it, and whether all windows nearby prefer one direction, as after motion. A
+    logistic function of these was fitted once on simulations of many kinds and on six photographs
+    with measured radii. Where the curve is flat, because there is no texture, the confidence is
+    the share of all radii that lie within the tolerance: 0.14 at most for radii up to 8 px, less
+    for larger domains.
+
+    It does not know that a lens is another one than the assumed: see `compare_psf`. What
+    `BlurCandidates.doubt` says holds for all of the picture.
 
     Parameters
     ----------

@@ -30,6 +30,7 @@ def picture_facts(
         **file_of_picture(image, found.image_shape),
         "psf": settings.settled(found.psf).psf,
         "psf_choice": found.psf_choice and found.psf_choice.facts(),
+        "doubt": found.doubt,
         "scale": found.psf.scale_name,
         "camera_softness": settings.camera_softness if settings.mode == "curve" else 0.0,
         "noise_variance": variance,
@@ -126,6 +127,8 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
             f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
             f"{facts['confident_percent']:.1f} % of the picture"
         )
+    if facts.get("doubt"):
+        yield f"careful      {facts['doubt']}"
     if facts.get("left_out_percent"):
         yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
     if "in_focus_percent" in facts:

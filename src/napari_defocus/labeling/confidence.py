@@ -1,6 +1,8 @@
-"""How sure a blur map is: the probability that it is right to half a pixel."""
+"""How sure a blur map is: the probability that it is right to half a pixel, or to a tenth."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,11 +32,38 @@ _ROUNDING = 1e-4
 _TEMPER = 0.7
 """Power of the likelihood that the confidence takes: by benchmarks/confidence.py."""
 
-_WEIGHT_OF_MASS, _WEIGHT_OF_JUMP, _BIAS = 0.419, -0.280, 0.709
-"""Fitted by benchmarks/confidence.py, which also says what they are worth."""
+_WEIGHTS = (0.288, -0.234, 1.491, 0.115, -0.109, -0.072, 0.148, -0.801, -3.599)
+"""Of `features_of`, in their order, and what is added; fitted by benchmarks/confidence.py, which
+also says what they are worth."""
 
-_LEAST_ODDS, _LEAST_JUMP = 5e-4, 0.05
-"""Below which shares of likelihood, and jumps in px, make no difference; chosen by hand."""
+_CONTRADICTED, _PER_UNIT = -4.0, 0.8
+"""Log odds of the share below which the likelihood contradicts the map, and what each unit takes
+off the logit. By hand, for maps that others made: of our own, 0.4 % of the windows are there."""
+
+_LEAST_ODDS, _LEAST_JUMP, _LEAST_AWAY = 5e-4, 0.05, 0.1
+"""Below which shares of likelihood, jumps in px, and tolerances between the map and the likeliest
+radius make no difference; chosen by hand."""
+
+_HARDLY, _CLEARLY = 1.6, 2.5
+"""px: how far a blur of less can hardly be told from a camera's own, and of more clearly can."""
+
+_LEAST_NOISE = 1e-7
+"""Variance, for a contrast of 1, below which noise makes no difference; chosen by hand."""
+
+_USUAL_STRENGTH = 10.0
+"""Where it is not known: that of texture."""
+
+_MOST_STRENGTH = 12.0
+"""Logarithm of power relative to noise: more makes no difference; chosen by hand."""
+
+_AROUND = 24.0
+"""px: standard deviation of the Gaussian over which directions are averaged."""
+
+_REACH = 3.0
+"""Standard deviations: so far it reaches, as tiles see no further."""
+
+_ISOTROPIC = 1.0
+"""d of `signs`: up to here, a preferred direction is as usual; chosen by hand."""
 
 _CAUTION_SIGMA = 8.0
 """px, over which what is taken off a map is smoothed."""
@@ -93,39 +122,92 @@ def _safe_at_windows(
 def window_confidence(
     candidates: BlurCandidates, curve: Float32, radius: Float64, jump: Float64
 ) -> Float64:
-    """Return the confidence at the windows, (R, C), for the map's values and jumps there."""
-    share, prior, depth = likelihood_share(candidates, curve, radius)
-    odds = np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS))
-    logit = _WEIGHT_OF_MASS * odds + _WEIGHT_OF_JUMP * np.log(jump + _LEAST_JUMP) + _BIAS
+    """Return the confidence at the windows, (R, C), for the map's values and jumps there.
+
+    A logistic function of `features_of`, where there is texture; where there is none, the share
+    of the scales that would do.
+    """
+    features, prior, depth = features_of(candidates, curve, radius, jump)
+    logit = np.full(depth.shape, _WEIGHTS[-1])
+    for weight, feature in zip(_WEIGHTS[:-1], features, strict=True):
+        logit += weight * feature
+    logit -= _PER_UNIT * np.maximum(_CONTRADICTED - features[0], 0)
     informed = informed_share(depth)
     return informed / (1 + np.exp(-logit)) + (1 - informed) * prior
 
 
-def likelihood_share(
-    candidates: BlurCandidates, curve: Float32, radius: Float64
+def features_of(
+    candidates: BlurCandidates, curve: Float32, radius: Float64, jump: Float64
 ) -> tuple[Float64, Float64, Float64]:
-    """Return what share of the averaged likelihood agrees with a radius: (R, C) each.
+    """Return what the confidence rests on; nothing in it knows the answer.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+    curve : (R, C, L) float32 ndarray
+        `averaged_curve` of them.
+    radius, jump : (R, C) ndarray
+        The map's value at the windows, and its largest difference within 31 px.
 
     Returns
     -------
-    share : ndarray
-        Of the likelihood within the `tolerance` of `radius`.
-    prior : ndarray
-        Of the scales.
-    depth : ndarray
+    features : (8, R, C) ndarray
+        Log odds of the share of the averaged likelihood within the `tolerance` of the radius; log
+        of the jump; how far the radius is told from a camera's own softness, from 0 to 1; depth of
+        the averaged curve; log10 of the noise variance for a contrast of 1; log of how many
+        tolerances away the averaged curve's best lies; log of the power relative to the noise's,
+        at most 12; by how much the windows within 24 px prefer one direction more than usual.
+    prior : (R, C) ndarray
+        Share of the scales within the tolerance.
+    depth : (R, C) ndarray
         Of the averaged curve, from its top to its bottom, at most 15.
     """
     depth = np.ptp(curve, axis=2)
     likelihood = curve + log_prior(candidates.scales)
+    best = candidates.scales[likelihood.argmax(axis=2)]
     likelihood -= likelihood.max(axis=2, keepdims=True)
     likelihood *= np.float32(_TEMPER)
     np.exp(likelihood, out=likelihood)
     spacing = _spacing(candidates)
     likelihood *= spacing
     away = candidates.scales.astype(np.float32) - radius[..., None]
-    agrees = np.abs(away, out=away) <= tolerance(radius)[..., None] + _ROUNDING
+    allowed = tolerance(radius)
+    agrees = np.abs(away, out=away) <= allowed[..., None] + _ROUNDING
     share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
-    return share, np.sum(agrees * spacing, axis=2) / spacing.sum(), depth
+    told = np.log(np.clip(radius, _HARDLY, _CLEARLY) / _HARDLY) / np.log(_CLEARLY / _HARDLY)
+    features = (
+        np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS)),
+        np.log(jump + _LEAST_JUMP),
+        told,
+        depth,
+        np.full(depth.shape, _log_noise(candidates)),
+        np.log(np.abs(best - radius) / allowed + _LEAST_AWAY),
+        _strength(candidates),
+        _preference(candidates),
+    )
+    return np.stack(features), np.sum(agrees * spacing, axis=2) / spacing.sum(), depth
+
+
+def _log_noise(candidates: BlurCandidates) -> float:
+    """Return log10 of the noise variance for a contrast of 1."""
+    contrast = 1.0 if candidates.intensities is None else candidates.intensities.contrast
+    return math.log10(candidates.noise_variance / contrast**2 + _LEAST_NOISE)
+
+
+def _strength(candidates: BlurCandidates) -> Float64:
+    """Return the logarithm of the power relative to the noise's, at most 12: (R, C)."""
+    if candidates.strength is None:
+        return np.full(candidates.curve.shape[:2], _USUAL_STRENGTH)
+    return np.minimum(candidates.strength, _MOST_STRENGTH)
+
+
+def _preference(candidates: BlurCandidates) -> Float64:
+    """Return by how much windows prefer one direction more than usual, over 24 px: (R, C)."""
+    if candidates.direction is None:
+        return np.zeros(candidates.curve.shape[:2])
+    sigma = _AROUND / candidates.stride
+    mean = gaussian_filter(candidates.direction, (sigma, sigma, 0), truncate=_REACH)
+    return np.maximum(np.hypot(mean[..., 0], mean[..., 1]) - _ISOTROPIC, 0)
 
 
 def tolerance(radius: NDArray[np.floating]) -> NDArray[np.floating]:

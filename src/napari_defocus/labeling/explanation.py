@@ -380,6 +380,9 @@ def _around(
         candidates,
         curve=candidates.curve[rows, columns],
         weight=None,
+        dispersion=None,
+        strength=None,
+        direction=None,
         row_centers=candidates.row_centers[rows],
         column_centers=candidates.column_centers[columns],
     )

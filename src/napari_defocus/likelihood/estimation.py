@@ -38,8 +38,10 @@ from napari_defocus.likelihood.scale_space import (
     joined,
     joined_scales,
     level_count,
+    strongest,
 )
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
+from napari_defocus.likelihood.signs import signs_of
 from napari_defocus.psf.domain import limited, seen_with_pixels
 from napari_defocus.psf.families import PSFFamily, as_family
 from napari_defocus.settings import MapSettings
@@ -179,7 +181,10 @@ def candidates_of(
     scales = joined_scales(how.psf.max_scale, how.window, len(levels))
     start = (0, 0) if within is None else (within[0].start, within[1].start)
     curve, weight = joined(levels, scales, start)
-    joint = replace(finest, curve=curve, scales=scales, psf=how.psf, weight=weight)
+    strength = strongest(levels, start)
+    joint = replace(
+        finest, curve=curve, scales=scales, psf=how.psf, weight=weight, strength=strength
+    )
     if how.search is None:
         return joint
     flat = curve.reshape(-1, len(scales))
@@ -226,6 +231,7 @@ def _of_one_level(
     radii = np.empty((*shape, CANDIDATES), np.float32)
     log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
     curve = np.empty((*shape, len(scales)), np.float32)
+    signs = np.empty((*shape, 4), np.float32)
     least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
     for block in grid.blocks():
         progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
@@ -249,12 +255,16 @@ def _of_one_level(
         else:
             block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
             block_heights = np.full_like(block_radii, -np.inf)
+        block_signs = np.column_stack(
+            [dispersion.mean(axis=1), signs_of(points, table, least_noise, window)]
+        )
         if opaque is not None:
             _silence_transparent(opaque[block].ravel(), block_radii, block_heights, block_curve)
         for result, values in (
             (radii, block_radii),
             (log_likelihoods, block_heights),
             (curve, block_curve),
+            (signs, block_signs),
         ):
             grid.spread(block, values, result)
     progress("Estimating blur", 1.0)
@@ -273,6 +283,9 @@ def _of_one_level(
         mode,
         shot_noise,
         picture.intensities.above_noise(noise_variance),
+        dispersion=signs[..., 0].copy(),
+        strength=signs[..., 1].copy(),
+        direction=signs[..., 2:].copy(),
     )
 
 

@@ -205,6 +205,22 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
     return total, (1 / (1 + octaves)).astype(np.float32)
 
 
+def strongest(levels: list[Level], start: tuple[int, int]) -> Float32 | None:
+    """Return `BlurCandidates.strength` of the level that sees most at each place: (R, C).
+
+    `start` is the first row and column, in px, that the finest level shows.
+    """
+    finest = levels[0].candidates
+    at = finest.row_centers + start[0], finest.column_centers + start[1]
+    found = finest.strength
+    for level in levels[1:]:
+        if found is None or level.candidates.strength is None:
+            return None
+        coarse = level.candidates.strength[..., None]
+        found = np.maximum(found, _between(coarse, *level.places(*at))[..., 0])
+    return found
+
+
 def _on_axis(
     curve: Float32,
     side: int,

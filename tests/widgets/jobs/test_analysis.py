@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from napari.components import ViewerModel
+from scipy.ndimage import uniform_filter1d
 
 from napari_defocus import (
     Annulus,
@@ -138,6 +139,16 @@ def test_comparison_has_the_lens_of_the_form_too_and_the_right_one_first(viewer,
     assert {text for text, _ in rows} == {*COMPARED_PSFS, "annulus:0.7"}
     assert rows[0][0] == "annulus:0.5"
     assert rows[0][1].median_scale == pytest.approx(5, abs=0.2)
+
+
+def test_layers_say_that_a_picture_does_not_look_like_defocus(viewer, gravel):
+    moving = uniform_filter1d(gravel, 13, axis=1, mode="mirror")
+    image = viewer.add_image(moving.astype(np.float32), name="moving")
+    for _, keywords, _ in analysis(viewer, image, threshold=2.0).run(JobCache()):
+        assert "motion" in keywords["metadata"][METADATA_KEY]["doubt"]
+    still = viewer.add_image(gravel.astype(np.float32), name="still")
+    for _, keywords, _ in analysis(viewer, still, threshold=2.0).run(JobCache()):
+        assert "doubt" not in keywords["metadata"][METADATA_KEY]
 
 
 def test_lens_that_the_picture_shows_is_that_of_its_layers(viewer, gravel):

@@ -458,7 +458,7 @@ class DefocusPanel(ImagePanel):
 
 def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
     made = results[-1][1]["metadata"][METADATA_KEY]
-    lines = [made["lens"]] if "lens" in made else []
+    lines = [made[name] for name in ("doubt", "lens") if name in made]
     lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
     if confidence is not None:
         share = (confidence >= CONFIDENT).mean()

@@ -36,6 +36,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     IN_FOCUS,
     METADATA_KEY,
+    say_doubt,
     say_lens,
 )
 from napari_defocus.widgets.layers.seeds import Seeds
@@ -192,7 +193,7 @@ class Analysis(Wanted):
         settings = self.estimation.settled(candidates.psf)
         used = self.mask, settings, candidates.noise_variance, seeds, candidates.intensities
         layer = in_focus_layer(self.plane, self.plane.counted(mask), *used)
-        return say_lens([layer], candidates.psf_choice)[0]
+        return say_doubt(say_lens([layer], candidates.psf_choice), candidates.doubt)[0]
 
 
 @dataclass(frozen=True, kw_only=True)

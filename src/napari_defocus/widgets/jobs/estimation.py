@@ -100,6 +100,8 @@ class EstimatedMap:
         What the variance is measured in.
     psf_choice : PSFChoice or None
         How the family was chosen, if the picture was to choose it.
+    doubt : str or None
+        Why the picture does not look like defocus; None if it may.
     """
 
     values: Float32
@@ -109,6 +111,7 @@ class EstimatedMap:
     psf: PSFFamily
     intensities: Intensities | None = None
     psf_choice: PSFChoice | None = None
+    doubt: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +270,7 @@ def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress)
         values, sure = found.blur_map, found.confidence
         safe = found.cautious(RestorationSettings.risk)
     used = candidates.noise_variance, candidates.psf, candidates.intensities, candidates.psf_choice
-    return EstimatedMap(values, safe, sure, *used)
+    return EstimatedMap(values, safe, sure, *used, candidates.doubt)
 
 
 def known_map(picture: Picture, settings: MapSettings, cache: JobCache) -> EstimatedMap | None:

@@ -43,6 +43,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     results_of,
     run_of,
     same_estimation,
+    say_doubt,
     say_lens,
 )
 
@@ -151,7 +152,7 @@ def layers_of_map(plane: Plane, settings: MapSettings, found: EstimatedMap) -> l
         blur_map_layer(plane, found.values.copy(), *made_with, found.psf, intensities),
         confidence_layer(plane, sure, *made_with, intensities),
     ]
-    return say_lens(layers, found.psf_choice)
+    return say_doubt(say_lens(layers, found.psf_choice), found.doubt)
 
 
 @dataclass(frozen=True, kw_only=True)

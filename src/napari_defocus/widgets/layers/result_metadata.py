@@ -147,6 +147,14 @@ def say_lens(layers: list[LayerDataTuple], choice: PSFChoice | None) -> list[Lay
     return layers
 
 
+def say_doubt(layers: list[LayerDataTuple], doubt: str | None) -> list[LayerDataTuple]:
+    """Let the metadata of new layers say why the picture does not look like defocus, if so."""
+    if doubt is not None:
+        for _, keywords, _ in layers:
+            keywords["metadata"][METADATA_KEY]["doubt"] = doubt
+    return layers
+
+
 def scale_prefix(scale_name: str) -> str:
     """Return what a map measures, to be put before "(px)"; nothing if blur radii, as usual."""
     return "" if scale_name == BLUR_RADIUS else scale_name.removesuffix("(px)")
