@@ -157,7 +157,7 @@ def compare_psf(
     >>> picture = simulate_defocus(camera()[:200, :200], np.full((200, 200), 5.0),
     ...                            psf=Annulus(0.5))
     >>> compare_psf(picture, [Disc(), Annulus(0.5)]).best
-    Annulus(obstruction=0.5, max_radius=8.0)
+    Annulus(obstruction=0.5, max_radius=64.0)
     """
     try:
         given = list(families)

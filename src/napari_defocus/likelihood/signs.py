@@ -82,12 +82,17 @@ def _weights(window: int) -> tuple[Float32, Float32]:
     """Return the weights of low frequencies, (F,), and those of the second harmonic, (F, 2)."""
     row, column = frequencies(window).T
     length = np.hypot(row, column)
-    low = length <= _LOW * length.max()
+    # Small windows have no other frequencies than high ones: the lowest of these.
+    low = length <= max(_LOW * length.max(), length.min() + 1e-9)
     ring = np.minimum((_RINGS * length / length.max()).astype(int), _RINGS - 1)
-    same = ring[:, None] == ring
+    same = (ring[:, None] == ring).astype(np.float64)
     angle = 2 * np.arctan2(row, column)
     waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    harmonic = 2 / len(ring) * (waves - same @ waves / same.sum(axis=1, keepdims=True))
+    harmonic = (
+        2
+        / len(ring)
+        * (waves - np.einsum("ij,jk->ik", same, waves) / same.sum(axis=1, keepdims=True))
+    )
     return (low / (2 * low.sum())).astype(np.float32), harmonic.astype(np.float32)
 
 
