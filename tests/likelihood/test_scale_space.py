@@ -127,3 +127,14 @@ def test_one_pixel_is_explained_by_all_levels(mosaic):
     told = explain_pixel(candidates, 300, 340, blur_map=blur_map, image=picture)
     assert told.scales[-1] == 64
     assert told.best == pytest.approx(20, rel=0.15)
+
+
+def test_what_is_not_known_has_no_say_at_any_level(mosaic):
+    picture = seen(blurred(mosaic, Disc().kernel(12.0)))[:400, :400].astype(np.float32)
+    picture[100:300, 100:300] = np.nan
+    candidates = estimate_candidates(picture)
+    blur_map = label_blur_map(candidates, picture)
+    around = np.isfinite(picture)
+    assert np.median(np.abs(blur_map - 12)[around]) < 1
+    sure = confidence_map(candidates, blur_map)
+    assert sure[180:220, 180:220].max() < 0.2

@@ -282,3 +282,14 @@ PICTURE, MAP = np.zeros((8, 9)), np.ones((8, 9))
 def test_bad_input_is_named(arguments, keywords, error, named):
     with pytest.raises(error, match=named):
         restore_all_in_focus(*arguments, **keywords)
+
+
+@pytest.mark.parametrize("noise_variance", [1e-4, 3e-5, 1e-6])
+def test_half_the_exposure_is_restored_to_half_the_light(noise_variance):
+    sharp = 0.8 * np.asarray(data.camera()[100:220, 100:230], float) / 255
+    truth = np.full(sharp.shape, 3.0)
+    seen = simulate_defocus(sharp, truth, noise_variance=noise_variance, rng=0)
+    full, fit = restore_all_in_focus(seen, truth + 0.3, return_fit=True)
+    half, fit_of_half = restore_all_in_focus(0.5 * seen, truth + 0.3, return_fit=True)
+    np.testing.assert_allclose(2 * half, full, atol=1e-4)
+    assert 4 * fit_of_half.misfit == pytest.approx(fit.misfit, rel=1e-3)

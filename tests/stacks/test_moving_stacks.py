@@ -171,3 +171,21 @@ def test_planes_without_texture_are_not_aligned_and_it_is_said():
     found = sharpest_plane(flat, align=True)
     assert found.alignment is None
     assert "too little in common" in found.notes[0]
+
+
+def test_planes_with_unknown_corners_are_aligned_all_the_same():
+    picture = np.asarray(data.camera()[:200, :220], np.float32) / 255
+    planes = np.stack([np.roll(picture, 2 * number, axis=0) for number in range(3)])
+    planes[:, :20, :20] = np.nan
+    found = sharpest_plane(planes)
+    np.testing.assert_allclose(found.alignment.shift[:, 0], [-2, 0, 2], atol=0.1)
+    assert np.isnan(found.composite[:16, :16]).all()
+    assert np.isfinite(found.composite[30:-10, 30:-10]).all()
+
+
+def test_alignment_takes_lists_and_names_what_is_no_number():
+    numbers = {"magnification": [1.0], "turn": [0.0], "uncertainty": [0.0]}
+    made = StackAlignment(shape=(5, 5), reference=0, shift=[[0.0, 0.0]], **numbers)
+    assert made.is_still
+    with pytest.raises(TypeError, match="shift has dtype"):
+        StackAlignment(shape=(5, 5), reference=0, shift=[["a", "b"]], **numbers)

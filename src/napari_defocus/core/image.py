@@ -120,7 +120,7 @@ def prepare_image(
         intensity /= intensities.span
         color = intensity.reshape(*array.shape[:2], -1).astype(np.float32)
         if known is not None:
-            color = _filled(color, known)
+            color = nearest_known(color, known)
         if linearize == "srgb":
             color = decode_srgb(color)
     # Infinity is above it, too. Fourth powers, such as variances of powers, fit below.
@@ -252,12 +252,24 @@ def _intensities(
     return found_intensities(array.dtype, given, limits, values)
 
 
-def _filled(color: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Give each pixel that is not known the colour of the nearest one: no edge, no noise."""
+def nearest_known(values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
+    """Give each pixel that is not known the value of the nearest one: no edge, no noise.
+
+    Parameters
+    ----------
+    values : (H, W) or (H, W, C) ndarray
+    known : (H, W) bool ndarray
+
+    Returns
+    -------
+    ndarray
+        Of the same shape and dtype; zeros if nothing is known.
+    """
     if not known.any():
-        return np.zeros_like(color)
+        return np.zeros_like(values)
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return color[tuple(nearest)]
+    filled: NDArray[Any] = values[tuple(nearest)]
+    return filled
 
 
 def _checked_array(image: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:

@@ -380,7 +380,6 @@ def _around(
         candidates,
         curve=candidates.curve[rows, columns],
         weight=None,
-        dispersion=None,
         strength=None,
         direction=None,
         row_centers=candidates.row_centers[rows],

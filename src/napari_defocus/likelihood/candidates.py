@@ -74,12 +74,9 @@ class BlurCandidates:
     weight : (R, C) float32 ndarray or None
         How much each window counts, from 0 to 1: less where levels of wide windows speak, which
         many places share. None of pictures that have one level only.
-    dispersion : (R, C) float32 ndarray or None
-        How badly the best scale explains each window's powers, of the pixels as they are: 1 if as
-        well as can be (always in the mode "paper"), about 2 on texture, 5 on lone edges. None of
-        candidates made by hand, as the next two.
     strength : (R, C) float32 ndarray or None
-        Logarithm of 1 + each window's power at low frequencies relative to the noise's.
+        Logarithm of 1 + each window's power at low frequencies relative to the noise's. None of
+        candidates made by hand, as the next one.
     direction : (R, C, 2) float32 ndarray or None
         Real and imaginary part of d of `signs`: near 0 if no direction has more details, above
         about 1.5 where all details lie in one.
@@ -101,7 +98,6 @@ class BlurCandidates:
     intensities: Intensities | None = None
     psf_choice: PSFChoice | None = None
     weight: Float32 | None = None
-    dispersion: Float32 | None = None
     strength: Float32 | None = None
     direction: Float32 | None = None
 

@@ -160,11 +160,12 @@ def candidates_of(
     """
     how = how.for_shape(picture.shape)
     part = picture if within is None else _cut(picture, within)
-    if how.levels == 1:
+    count = how.levels or 1
+    if count == 1:
         return _of_one_level(part, how.of_level(0), noise_variance, shot_noise, progress)
-    shares = np.cumsum([0, *(4.0**-level for level in range(how.levels or 1))])
+    shares = np.cumsum([0, *(4.0**-level for level in range(count))])
     levels: list[Level] = []
-    for level in range(how.levels or 1):
+    for level in range(count):
         report = within_share(progress, *shares[level : level + 2] / shares[-1])
         less = 4.0**-level
         shot = shot_noise and replace(
@@ -175,11 +176,18 @@ def candidates_of(
         seen = part if level == 0 else picture
         found = _of_one_level(seen, how.of_level(level), less * noise_variance, shot, report)
         levels.append(Level(seen, found, 2**level))
-        if level + 1 < (how.levels or 1):
+        if level + 1 < count:
             picture = halved(picture)
+    start = (0, 0) if within is None else (within[0].start, within[1].start)
+    return _joined_candidates(levels, how, start)
+
+
+def _joined_candidates(
+    levels: list[Level], how: Estimation, start: tuple[int, int]
+) -> BlurCandidates:
+    """Return the candidates of all levels; the finest shows the picture from a place in px on."""
     finest = levels[0].candidates
     scales = joined_scales(how.psf.max_scale, how.window, len(levels))
-    start = (0, 0) if within is None else (within[0].start, within[1].start)
     curve, weight = joined(levels, scales, start)
     strength = strongest(levels, start)
     joint = replace(
@@ -191,7 +199,7 @@ def candidates_of(
     radii, heights = joined_maxima(
         flat,
         scales,
-        largest_point(_table(part.shape, how.of_level(0)), finest.scales),
+        largest_point(_table(finest.image_shape, how.of_level(0)), finest.scales),
         finest.radii.reshape(len(flat), CANDIDATES),
     )
     shape = finest.radii.shape
@@ -231,7 +239,7 @@ def _of_one_level(
     radii = np.empty((*shape, CANDIDATES), np.float32)
     log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
     curve = np.empty((*shape, len(scales)), np.float32)
-    signs = np.empty((*shape, 4), np.float32)
+    signs = np.empty((*shape, 3), np.float32)
     least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
     for block in grid.blocks():
         progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
@@ -255,9 +263,7 @@ def _of_one_level(
         else:
             block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
             block_heights = np.full_like(block_radii, -np.inf)
-        block_signs = np.column_stack(
-            [dispersion.mean(axis=1), signs_of(points, table, least_noise, window)]
-        )
+        block_signs = signs_of(points, table, least_noise, window)
         if opaque is not None:
             _silence_transparent(opaque[block].ravel(), block_radii, block_heights, block_curve)
         for result, values in (
@@ -283,9 +289,8 @@ def _of_one_level(
         mode,
         shot_noise,
         picture.intensities.above_noise(noise_variance),
-        dispersion=signs[..., 0].copy(),
-        strength=signs[..., 1].copy(),
-        direction=signs[..., 2:].copy(),
+        strength=signs[..., 0].copy(),
+        direction=signs[..., 1:].copy(),
     )
 
 

@@ -62,6 +62,10 @@ _ALL, _SOME = np.float32(0.9), np.float32(0.6)
 """Share of the windows around that say "little", from which coarser levels have no say; and up to
 which they have all of it."""
 
+_SURELY_MUCH = np.float32(1.5)
+"""Of the share of the windows around that say "much", before it is cut off at 1: two thirds are
+enough. Chosen on a sharp subject before a blur of 20 px (docs/decisions.md)."""
+
 _AROUND = 1.77
 """Windows: standard deviation of the Gaussian over which windows count as around, that of a
 window's own weights if they lie 4 px apart."""
@@ -191,34 +195,46 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
         closed = np.maximum(closed, np.clip((around[..., 0] - _SOME) / (_ALL - _SOME), 0, 1))
         free = 1 - closed * here[..., 2]
         much = here[..., 0] * free * (1 - here[..., 1])
-        spilled = here[..., 1] * np.minimum(np.float32(1.5) * around[..., 1], 1)
+        spilled = here[..., 1] * np.minimum(_SURELY_MUCH * around[..., 1], 1)
         gain = _SAY * here[..., 0] * free * (1 - spilled)
         keep = 1 - much * _share_below(total, scales, anything * level.side / 2)
         curve = _on_axis(plain, level.side, scales, level.candidates.scales, anything, little)
         in_bands(_add_level, len(total), curve, *level.places(*at), keep, gain, total)
-        if number > 1:
-            octaves += (0.5 if number == 2 else 1.0) * much
-        if number == len(levels) - 1 and number > 1:
-            octaves += np.float32(0.5) * much
+        octaves += much * _octaves(number, last=number == len(levels) - 1)
         before, fine = plain, level
     total -= total.max(axis=2, keepdims=True)
     return total, (1 / (1 + octaves)).astype(np.float32)
 
 
-def strongest(levels: list[Level], start: tuple[int, int]) -> Float32 | None:
+def _octaves(level: int, *, last: bool) -> np.float32:
+    """Return how many octaves beyond 8 px more the radius is, in the mean, if a level says "much".
+
+    Level 1 says so from 6 px on, which is none; level 2 from 8 px on, up to 16 px if there is a
+    next one; each next one adds an octave, and the last one, which tells two, half of another.
+    """
+    if level == 1:
+        return np.float32(0)
+    return np.float32((0.5 if level == 2 else 1.0) + (0.5 if last else 0.0))
+
+
+def strongest(levels: list[Level], start: tuple[int, int]) -> Float32:
     """Return `BlurCandidates.strength` of the level that sees most at each place: (R, C).
 
     `start` is the first row and column, in px, that the finest level shows.
     """
     finest = levels[0].candidates
     at = finest.row_centers + start[0], finest.column_centers + start[1]
-    found = finest.strength
+    found = _strength(levels[0])
     for level in levels[1:]:
-        if found is None or level.candidates.strength is None:
-            return None
-        coarse = level.candidates.strength[..., None]
-        found = np.maximum(found, _between(coarse, *level.places(*at))[..., 0])
+        coarse = _between(_strength(level)[..., None], *level.places(*at))
+        found = np.maximum(found, coarse[..., 0])
     return found
+
+
+def _strength(level: Level) -> Float32:
+    strength = level.candidates.strength
+    assert strength is not None, "levels are estimated, not made by hand"
+    return strength
 
 
 def _on_axis(
@@ -284,12 +300,7 @@ def _interpolate(
             left = min(int(columns[j]), max(width - 2, 0))
             right, along = min(left + 1, width - 1), np.float32(columns[j] - left)
             for k in range(count):
-                upper = values[top, left, k] + along * (
-                    values[top, right, k] - values[top, left, k]
-                )
-                lower = values[bottom, left, k]
-                lower += along * (values[bottom, right, k] - lower)
-                found[i, j, k] = upper + down * (lower - upper)
+                found[i, j, k] = _of_four(values, top, bottom, left, right, down, along, k)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -315,8 +326,23 @@ def _add_level(
             if gained == 0 and kept == 1:
                 continue
             for k in range(count):
-                upper, lower = curve[top, left, k], curve[bottom, left, k]
-                upper += along * (curve[top, right, k] - upper)
-                lower += along * (curve[bottom, right, k] - lower)
-                said = upper + down * (lower - upper)
+                said = _of_four(curve, top, bottom, left, right, down, along, k)
                 total[i, j, k] = kept * total[i, j, k] + gained * said
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _of_four(
+    values: Float32,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
+    down: np.float32,
+    along: np.float32,
+    k: int,
+) -> np.float32:
+    """Interpolate between four windows; `down` and `along` are the place between them, 0 to 1."""
+    upper, lower = values[top, left, k], values[bottom, left, k]
+    upper += along * (values[top, right, k] - upper)
+    lower += along * (values[bottom, right, k] - lower)
+    return upper + down * (lower - upper)

@@ -56,7 +56,7 @@ class RestorationFit:
     misfit : float
         Variance of what noise, lens and map do not explain, intensities in [0, 1]; 0 if the
         picture fits. Above 0, less blur was taken away, with more smoothing. Taken for granted
-        where the noise would hide it, from a variance of 2e-5.
+        where the noise would hide it, from a variance of 2e-5 for a contrast of 1.
     """
 
     noise_variance: float
@@ -144,7 +144,7 @@ class Restoration:
             problem = Deconvolution(
                 *(picture, self.psf, sure, of_channel, tv_weight, self.linearize, pool),
                 follows_misfit=self.tv_weight is None,
-                hides_misfit=noise_variance >= PROCESSING_VARIANCE,
+                hides_misfit=noise_variance >= PROCESSING_VARIANCE * picture.intensities.unit**2,
             )
             sharp = np.clip(problem.solve(scales, progress), 0, 1)
         fit = RestorationFit(float(noise_variance), problem.tv_weight, problem.misfit)

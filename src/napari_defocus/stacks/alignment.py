@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import affine_transform
 
 import napari_defocus
+from napari_defocus.core.image import given_reals, nearest_known
 from napari_defocus.core.writing import write_results
 
 Float64 = NDArray[np.float64]
@@ -24,6 +25,9 @@ VERSION_KEY = "napari_defocus"
 
 _KEYS = ("shift_rows", "shift_columns", "magnification", "turn_degrees", "uncertainty_px")
 _TAKES = "it takes a file that StackAlignment.save wrote"
+
+_ALL_KNOWN = 0.999
+"""Share of what a pixel is interpolated from that has to be known: all but for rounding."""
 
 SPLINE = 5
 """Order of the splines between pixels. Half a pixel and back costs pictures that a camera has
@@ -49,17 +53,19 @@ class StackAlignment:
         Height and width of the planes in px.
     reference : int
         The plane on which the others are laid, from 0.
-    shift : (Z, 2) float64 ndarray
+    shift : (Z, 2) array_like
         t, along rows and columns, in px.
-    magnification : (Z,) float64 ndarray
+    magnification : (Z,) array_like
         m, 1 for the reference.
-    turn : (Z,) float64 ndarray
+    turn : (Z,) array_like
         In degrees, from the rows' direction (down) to that of the columns (right).
-    uncertainty : (Z,) float64 ndarray
+    uncertainty : (Z,) array_like
         Standard error of where the corners are, in px; 0 if nothing was measured.
 
     Raises
     ------
+    TypeError
+        If one of these holds no real numbers.
     ValueError
         If the numbers do not belong together, are not finite, or a magnification is not above 0.
 
@@ -87,6 +93,8 @@ class StackAlignment:
 
     def __post_init__(self) -> None:
         """Refuse what is no alignment."""
+        for name in ("shift", "magnification", "turn", "uncertainty"):
+            object.__setattr__(self, name, given_reals(name, getattr(self, name)))
         count = len(self.magnification)
         numbers = (self.shift.ravel(), self.magnification, self.turn, self.uncertainty)
         sizes = [each.size for each in numbers] != [2 * count, count, count, count]
@@ -255,11 +263,21 @@ def moved(
 ) -> NDArray[Any]:
     """Return what a plane shows at ``factor x + shift`` for each pixel x, by splines.
 
-    Places are complex numbers from the plane's middle, rows the real part. NaN where it has none.
+    Places are complex numbers from the plane's middle, rows the real part. NaN where it has none,
+    and where it is NaN itself: splines would carry that through whole rows.
     """
     middle = (np.array(values.shape) - 1) / 2
     matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
     offset = middle - (matrix * middle).sum(axis=1) + (shift.real, shift.imag)
-    return np.asarray(
-        affine_transform(values, matrix, offset, order=order, mode="constant", cval=np.nan)
-    )
+
+    def laid(plane: NDArray[Any], order: int) -> NDArray[Any]:
+        return np.asarray(
+            affine_transform(plane, matrix, offset, order=order, mode="constant", cval=np.nan)
+        )
+
+    known = np.isfinite(values)
+    if known.all() or not known.any():
+        return laid(values, order) if known.all() else np.full_like(values, np.nan)
+    found = laid(nearest_known(values, known), order)
+    found[~(laid(known.astype(np.float32), 1) > _ALL_KNOWN)] = np.nan
+    return found

@@ -34,8 +34,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d, distance_transform_edt, gaussian_filter, map_coordinates
+from scipy.ndimage import correlate1d, gaussian_filter, map_coordinates
 
+from napari_defocus.core.image import nearest_known
 from napari_defocus.core.known_pixels import known_pixels
 from napari_defocus.core.progress import Progress
 from napari_defocus.psf.families import PSFFamily
@@ -340,10 +341,4 @@ def _filled(plane: NDArray[Any], known: NDArray[np.bool_] | None) -> Floating:
     single = plane.dtype.itemsize <= 2 or plane.dtype == np.float32
     values: Floating = np.ma.getdata(plane).astype(np.float32 if single else np.float64)
     values = values.reshape(*values.shape[:2], -1)
-    if known is None:
-        return values
-    if not known.any():
-        return np.zeros_like(values)
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled: Floating = values[tuple(nearest)]
-    return filled
+    return values if known is None else nearest_known(values, known)
