@@ -4,9 +4,9 @@ Blurred by more than the largest radius
 
 What is blurred beyond the domain is some other radius, and the confidence does not say so.
 
-A picture of 200 x 200 px can tell radii up to 16 px; here ``Disc(8.0)`` says to look for 8 px at most.
-A picture that is blurred by more is not reported as 8 px. A photograph still ends near the top of the
-domain; a texture of which nothing is left behind such a blur can end anywhere.
+A picture of 200 x 200 px can tell radii up to 16 px; here ``Disc(8.0)`` says to look for 8 px
+at most. A picture that is blurred by more is not reported as 8 px. A photograph still ends near
+the top of the domain; a texture of which nothing is left behind such a blur can end anywhere.
 """
 
 import numpy as np

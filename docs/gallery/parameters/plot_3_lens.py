@@ -57,9 +57,9 @@ for name, family in families.items():
 print(compare_psf(seen["Annulus(0.5)"], list(families.values())))
 
 # %%
-# **Largest radius.** Wide blur is measured on the picture with averaged pixels, and joined with what
-# the picture itself says: up to 64 px, less in small pictures, whatever the blur. A larger window
-# does not do that. What is beyond the largest radius is shown in
+# **Largest radius.** Wide blur is measured on the picture with averaged pixels, and joined with
+# what the picture itself says: up to 64 px, less in small pictures, whatever the blur. A larger
+# window does not do that. What is beyond the largest radius is shown in
 # :ref:`sphx_glr_examples_limits_plot_5_beyond.py`.
 
 photograph = astronaut().reshape(256, 2, 256, 2, 3).mean(axis=(1, 3)) / 255
