@@ -81,11 +81,12 @@ class Problem:
     picture: PreparedImage
     blocks: Blocks
     cost: np.ndarray
+    position: np.ndarray
 
     @classmethod
     def of(cls, picture: np.ndarray) -> "Problem":
         scene = LabelingProblem.of(estimate_candidates(picture), picture)
-        return cls(scene.own, scene.picture, scene.blocks, scene.cost(CURVE_WEIGHT))
+        return cls(scene.own, scene.picture, scene.blocks, scene.cost(CURVE_WEIGHT), scene.position)
 
     def of_windows(self) -> tuple[np.ndarray, np.ndarray]:
         """Return costs and weights of the grid of windows."""
@@ -119,7 +120,8 @@ class Solved:
         data, weights = problem.of_windows()
         minimize_energy(data[:40, :40], weights_within(weights, 40))  # compiled
         solvers = minimize_energy, expand_until_settled, solve_exactly
-        found = [energy_and_time(solve, data, weights) for solve in solvers[: 2 + exact]]
+        at = problem.position
+        found = [energy_and_time(solve, data, weights, at) for solve in solvers[: 2 + exact]]
         return cls(data.shape[:2], *found, *([] if exact else [(np.nan, np.nan)]))
 
 
@@ -154,7 +156,8 @@ def grid_row(problem: Problem, exact: bool) -> str:
 
 def full_row(problem: Problem, exact: bool) -> str:
     data, weights = problem.of_pixels()
-    labels = minimize_energy(*problem.of_windows())
+    at = problem.position
+    labels = minimize_energy(*problem.of_windows(), position=at)
     pixels = label_pixels(
         labels,
         problem.cost,
@@ -164,16 +167,19 @@ def full_row(problem: Problem, exact: bool) -> str:
         color_sigma=COLOR_SIGMA,
         jump=JUMP,
         reach=REACH,
+        position=at,
     )
     began = time.perf_counter()
-    improved = improve(pixels, data, weights)
+    improved = improve(pixels, data, weights, position=at)
     seconds = time.perf_counter() - began
     began = time.perf_counter()
-    settled = [expand_until_settled(data, weights, start=start) for start in (pixels, None)]
+    settled = [
+        expand_until_settled(data, weights, start=start, position=at) for start in (pixels, None)
+    ]
     reference_seconds = time.perf_counter() - began
-    reference = min(energy_of(each, data, weights) for each in settled)
+    reference = min(energy_of(each, data, weights, at) for each in settled)
     gaps = (
-        above(energy_of(each, data, weights), reference)
+        above(energy_of(each, data, weights, at), reference)
         for each in (problem.blocks.spread(labels), pixels, improved)
     )
     return " | ".join(
@@ -190,11 +196,11 @@ def weights_within(weights: np.ndarray, side: int) -> np.ndarray:
 
 
 def energy_and_time(
-    solve: Callable[..., np.ndarray], data: np.ndarray, weights: np.ndarray
+    solve: Callable[..., np.ndarray], data: np.ndarray, weights: np.ndarray, position: np.ndarray
 ) -> tuple[float, float]:
     began = time.perf_counter()
-    labels = solve(data, weights)
-    return energy_of(labels, data, weights), time.perf_counter() - began
+    labels = solve(data, weights, position=position)
+    return energy_of(labels, data, weights, position), time.perf_counter() - began
 
 
 def above(energy: float, reference: float) -> float:

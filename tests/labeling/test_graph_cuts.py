@@ -54,7 +54,9 @@ def fused(labels, proposal, data, weights):
     """The fusion, with costs of labels."""
     place = np.flatnonzero(labels != proposal)
     change = [np.take_along_axis(data, each[..., None], 2).ravel() for each in (proposal, labels)]
-    return fuse(labels, proposal, place, (change[0] - change[1])[place].astype(float), weights)
+    position = np.arange(data.shape[2], dtype=np.int32)
+    change = (change[0] - change[1])[place].astype(float)
+    return fuse(labels, proposal, place, change, weights, position)
 
 
 def explicit_energy(labels, data, weights):

@@ -77,13 +77,16 @@ def labeled_blur_map(
     cost, block_cost, weights = _problem_of_blocks(problem, settings)
     choosing = within(progress, 0.0, 0.7, step)
     if around is not None:
-        around.hold(block_cost, _HOLD * smoothness)
+        around.hold(block_cost, _HOLD * smoothness, problem.position)
+    position = problem.position
     if candidates.mode == "paper":
-        labels = expand_until_settled(block_cost, weights, choosing)
+        labels = expand_until_settled(block_cost, weights, choosing, position=position)
     elif around is not None:
-        labels = minimize_energy_from(around.labels, block_cost, weights, choosing)
+        labels = minimize_energy_from(
+            around.labels, block_cost, weights, choosing, position=position
+        )
     else:
-        labels = minimize_energy(block_cost, weights, choosing)
+        labels = minimize_energy(block_cost, weights, choosing, position=position)
     progress("Following the picture's edges", 0.7)
     pixels = label_pixels(
         labels,
@@ -94,6 +97,7 @@ def labeled_blur_map(
         color_sigma=problem.sigma(color_sigma),
         jump=JUMP,
         reach=REACH,
+        position=position,
         progress=within(progress, 0.7, 0.9),
     )
     axis = candidates.scales.astype(np.float32)
@@ -121,18 +125,18 @@ def _problem_of_blocks(
 
 def coarse_problem(
     problem: LabelingProblem, levels: int, settings: MapSettings
-) -> tuple[Float32, Float32]:
+) -> tuple[Float32, Float32, NDArray[np.int32]]:
     """Return what is minimised, on a grid that is coarser by so many powers of two.
 
     Returns
     -------
-    data, weights : ndarray
+    data, weights, position : ndarray
         As `minimize_energy` takes them.
     """
     _, data, weights = _problem_of_blocks(problem, settings)
     for _ in range(levels):
-        data, weights = coarser(data, weights)
-    return data, weights
+        data, weights = coarser(data, weights, problem.position)
+    return data, weights, problem.position
 
 
 def preview_of_blur_map(
@@ -148,7 +152,13 @@ def preview_of_blur_map(
     progress("Preview", 0.0)
     blocks = problem.blocks
     _, cost, weights = _problem_of_blocks(problem, settings)
-    labels = minimize_energy(cost, weights, within(progress, 0.0, 1.0, "Preview"), coarse=True)
+    labels = minimize_energy(
+        cost,
+        weights,
+        within(progress, 0.0, 1.0, "Preview"),
+        position=problem.position,
+        coarse=True,
+    )
     axis = problem.own.scales.astype(np.float32)
     return interpolate_labels(axis[labels], labels, blocks.spread(labels), blocks, JUMP, axis)
 
@@ -218,4 +228,5 @@ def labeling_energy(
         problem.color,
         smoothness=smoothness,
         color_sigma=problem.sigma(color_sigma),
+        position=problem.position,
     )

@@ -19,12 +19,19 @@ _RELAXATION = np.float32(0.4)
 edges inside of the joined node, too. Chosen by the energy on ramps and photographs."""
 
 
-def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[Float32, Float32]:
+def positions_of(data: Float32, position: Labels | None) -> Labels:
+    """Return where the labels of costs (R, C, L) are on the axis of differences: (L,) int32."""
+    return np.arange(data.shape[2], dtype=np.int32) if position is None else position
+
+
+def coarser(
+    data: Float32, weights: Float32, position: Labels | None = None, *, agreed: bool = False
+) -> tuple[Float32, Float32]:
     """Join nodes two by two: costs add up, and so do the weights across the seams.
 
     Parameters
     ----------
-    data, weights : ndarray
+    data, weights, position : ndarray
         As for `minimize_energy`.
     agreed : bool, optional
         Joined nodes pay for the label that they have in common; else each may leave it at the
@@ -40,7 +47,7 @@ def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[F
     padded = np.zeros((2 * rows, 2 * columns, data.shape[2]), np.float32)
     padded[: data.shape[0], : data.shape[1]] = data
     if not agreed:
-        _relax(padded, weights)
+        _relax(padded, weights, positions_of(data, position))
     joined = padded.reshape(rows, 2, columns, 2, -1).sum(axis=(1, 3))
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)
@@ -51,26 +58,28 @@ def finer(labels: Labels, rows: int, columns: int) -> Labels:
     return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
 
 
-def _relax(cost: Float32, weights: Float32) -> None:
+def _relax(cost: Float32, weights: Float32, position: Labels) -> None:
     """Let each node leave the common label at the price of its own edges, in place.
 
-    Costs become min_m D(m) + w |l - m|: joined nodes need not agree on one label, as they cannot
-    where the blur is steep. Nodes beyond the grid cost nothing, and keep to that.
+    Costs become min_m D(m) + w |p(l) - p(m)|: joined nodes need not agree on one label, as they
+    cannot where the blur is steep. Nodes beyond the grid cost nothing, and keep to that.
     """
     price = np.zeros(cost.shape[:2], np.float32)
     price[: weights.shape[1], : weights.shape[2]] = _RELAXATION * weights.sum(axis=0)
-    in_bands(_relax_rows, len(cost), price, cost)
+    in_bands(_relax_rows, len(cost), price, np.diff(position).astype(np.float32), cost)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _relax_rows(start: int, stop: int, price: Float32, cost: Float32) -> None:
+def _relax_rows(start: int, stop: int, price: Float32, gap: Float32, cost: Float32) -> None:
     _, columns, count = cost.shape
     for i in range(start, stop):
         for j in range(columns):
             for label in range(1, count):
-                cost[i, j, label] = min(cost[i, j, label], cost[i, j, label - 1] + price[i, j])
+                below = cost[i, j, label - 1] + price[i, j] * gap[label - 1]
+                cost[i, j, label] = min(cost[i, j, label], below)
             for label in range(count - 2, -1, -1):
-                cost[i, j, label] = min(cost[i, j, label], cost[i, j, label + 1] + price[i, j])
+                above = cost[i, j, label + 1] + price[i, j] * gap[label]
+                cost[i, j, label] = min(cost[i, j, label], above)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -23,7 +23,7 @@ from scipy.ndimage import (
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.graph_cuts import Places, fuse
-from napari_defocus.labeling.multigrid import STEPS
+from napari_defocus.labeling.multigrid import STEPS, positions_of
 from napari_defocus.labeling.pairwise_term import Blocks, color_weight, pixel_weights
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 
@@ -43,6 +43,7 @@ def label_pixels(
     color_sigma: float,
     jump: int,
     reach: int,
+    position: Labels | None = None,
     fixed: Labels | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
@@ -63,6 +64,8 @@ def label_pixels(
         The smallest difference of labels that counts as a discontinuity.
     reach : int
         How far, in px, a boundary may move at once.
+    position : (L,) int32 ndarray, optional
+        As for `minimize_energy`.
     fixed : (H, W) int32 ndarray, optional
         Labels that pixels must have, -1 where they are free.
     change_at : callable, optional
@@ -87,6 +90,7 @@ def label_pixels(
     weights = pixel_weights(color, free, color_sigma, smoothness)
     if fixed is not None:
         free &= fixed < 0
+    position = positions_of(cost, position)
     left = reach
     while left > 0:
         for offer in (grey_erosion, grey_dilation):
@@ -99,7 +103,7 @@ def label_pixels(
             if change_at is not None:
                 own = change_at(pixels, proposal, place)
                 change = np.where(np.isnan(own), change, own)
-            pixels = fuse(pixels, proposal, place, change, weights)
+            pixels = fuse(pixels, proposal, place, change, weights, position)
         left //= 2
     return pixels
 
@@ -138,12 +142,15 @@ def energy_of_pixels(
     *,
     smoothness: float,
     color_sigma: float,
+    position: Labels | None = None,
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
     sharpness = np.float32(0.5 / color_sigma**2)
     evidence, jumps = np.zeros((2, len(pixels)))
+    at = positions_of(cost, position)
     places = blocks.positions
-    in_bands(_energy_of_rows, len(pixels), pixels, cost, color, *places, sharpness, evidence, jumps)
+    found = evidence, jumps
+    in_bands(_energy_of_rows, len(pixels), pixels, cost, at, color, *places, sharpness, *found)
     return float(evidence.sum() + smoothness * jumps.sum())
 
 
@@ -153,6 +160,7 @@ def _energy_of_rows(
     stop: int,
     pixels: Labels,
     cost: Float32,
+    position: Labels,
     color: Float32,
     row_position: Float64,
     column_position: Float64,
@@ -170,7 +178,7 @@ def _energy_of_rows(
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns and pixels[y, x] != label:
                     weight = color_weight(color, i, j, y, x, sharpness)
-                    jumps[i] += weight * abs(pixels[y, x] - label)
+                    jumps[i] += weight * abs(position[pixels[y, x]] - position[label])
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)

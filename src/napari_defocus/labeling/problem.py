@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.data_term import data_term
-from napari_defocus.labeling.pairwise_term import Blocks
+from napari_defocus.labeling.pairwise_term import Blocks, label_positions
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
 from napari_defocus.likelihood.own_side import on_own_side
 
@@ -83,6 +83,11 @@ class LabelingProblem:
         return color_sigma * intensities.contrast / intensities.unit
 
     @cached_property
+    def position(self) -> NDArray[np.int32]:
+        """Where each label is on the axis on which the pairwise term counts: (L,)."""
+        return label_positions(self.own.scales)
+
+    @cached_property
     def _data_term(self) -> Float32:
         return data_term(self.own)
 
@@ -132,8 +137,11 @@ class CoarseLabels:
     own: tuple[slice, slice]
     inner_sides: tuple[bool, bool, bool, bool]
 
-    def hold(self, data: Float32, price: float) -> None:
-        """Add a price for each label that the rim of the part differs, to costs (R, C, L)."""
+    def hold(self, data: Float32, price: float, position: NDArray[np.int32] | None = None) -> None:
+        """Add a price for each label that the rim of the part differs, to costs (R, C, L).
+
+        Of labels at any positions (L,), for as far as they are apart.
+        """
         rows, columns, count = data.shape
         factor = 1
         while -(-rows // factor) > self.labels.shape[0]:
@@ -145,7 +153,8 @@ class CoarseLabels:
         held[-1] |= bottom
         held[:, 0] |= left
         held[:, -1] |= right
-        away = np.abs(np.arange(count) - fine[held][:, None])
+        at = np.arange(count) if position is None else position
+        away = np.abs(at - at[fine[held]][:, None])
         data[held] += (price * away).astype(np.float32)
 
 

@@ -203,7 +203,7 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
         octaves += much * _octaves(number, last=number == len(levels) - 1)
         before, fine = plain, level
     total -= total.max(axis=2, keepdims=True)
-    return total, (1 / (1 + octaves)).astype(np.float32)
+    return total, ((1 + octaves) ** -2).astype(np.float32)
 
 
 def _octaves(level: int, *, last: bool) -> np.float32:
