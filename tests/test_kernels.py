@@ -29,7 +29,7 @@ from napari_defocus.labeling.graph_cuts import (
     fuse,
     solve_exactly,
 )
-from napari_defocus.labeling.multigrid import _RELAXATION, STEPS, _joined_weights, _relax
+from napari_defocus.labeling.multigrid import _RELAXATION, STEPS, _joined_weights, coarser
 from napari_defocus.labeling.pairwise_term import Blocks, pixel_weights
 from napari_defocus.labeling.pixel_refinement import (
     _interpolated_change,
@@ -302,15 +302,17 @@ def test_weights_of_coarser_nodes_are_sums():
     np.testing.assert_allclose(matrix(Edges.of_grid(coarse), 6), expected, rtol=1e-5)
 
 
-def test_relaxed_costs_are_the_least_with_a_price_for_the_distance():
+def test_coarser_costs_are_sums_of_the_least_with_a_price_for_the_distance():
     data = np.random.default_rng(0).uniform(0, 5, (3, 4, 4)).astype(np.float32)
     weights = random_weights(3, 4)
     price = _RELAXATION * weights.sum(axis=0)[..., None, None]
     distance = np.abs(np.subtract.outer(POSITION, POSITION))
-    expected = np.min(data[:, :, None] + price * distance, axis=3)
-    relaxed = data.copy()
-    _relax(relaxed, weights, POSITION)
-    np.testing.assert_allclose(relaxed, expected, rtol=1e-5)
+    relaxed = np.min(data[:, :, None] + price * distance, axis=3)
+    for agreed, cost in {False: relaxed, True: data}.items():
+        padded = np.pad(cost, [(0, 1), (0, 0), (0, 0)])
+        expected = padded.reshape(2, 2, 2, 2, 4).sum(axis=(1, 3))
+        found, _ = coarser(data, weights, POSITION, agreed=agreed)
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def costs_and_weights(labels):
@@ -374,8 +376,10 @@ def test_limited_depth_is_weighted_and_0_at_the_top():
     rng = np.random.default_rng(0)
     curve = rng.normal(0, 10, (3, 4, 7)).astype(np.float32)
     weight = rng.random((3, 4)).astype(np.float32)
-    depth = np.minimum(curve.max(axis=2, keepdims=True) - curve, 15)
-    found = _limited(curve, weight, np.float32(15))
+    prior = rng.normal(0, 1, 7).astype(np.float32)
+    likely = curve + prior
+    depth = np.minimum(likely.max(axis=2, keepdims=True) - likely, 15)
+    found = _limited(curve, prior, weight, np.float32(15))
     np.testing.assert_allclose(found, weight[..., None] * depth, rtol=1e-5)
 
 

@@ -64,25 +64,33 @@ def limited_depth(candidates: BlurCandidates) -> Float32:
     weight = evidence_share(candidates) / np.sqrt(candidates.places_of_window())
     if candidates.weight is not None:
         weight *= candidates.weight
-    posterior = candidates.curve + log_prior(candidates.scales)
-    return _limited(posterior, weight.astype(np.float32), DEPTH)
+    return _limited(
+        candidates.curve, log_prior(candidates.scales), weight.astype(np.float32), DEPTH
+    )
 
 
-def _limited(curve: Float32, weight: Float32, depth: np.float32) -> Float32:
+def _limited(curve: Float32, prior: Float32, weight: Float32, depth: np.float32) -> Float32:
     limited = np.empty_like(curve)
-    in_bands(_limit_rows, len(curve), curve, weight, depth, limited)
+    in_bands(_limit_rows, len(curve), curve, prior, weight, depth, limited)
     return limited
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _limit_rows(
-    start: int, stop: int, curve: Float32, weight: Float32, depth: np.float32, limited: Float32
+    start: int,
+    stop: int,
+    curve: Float32,
+    prior: Float32,
+    weight: Float32,
+    depth: np.float32,
+    limited: Float32,
 ) -> None:
     for row in range(start, stop):
         for column in range(curve.shape[1]):
-            top = curve[row, column, 0]
-            for scale in range(1, curve.shape[2]):
-                top = max(top, curve[row, column, scale])
+            top = np.float32(-np.inf)
             for scale in range(curve.shape[2]):
-                below = min(top - curve[row, column, scale], depth)
+                limited[row, column, scale] = curve[row, column, scale] + prior[scale]
+                top = max(top, limited[row, column, scale])
+            for scale in range(curve.shape[2]):
+                below = min(top - limited[row, column, scale], depth)
                 limited[row, column, scale] = weight[row, column] * below

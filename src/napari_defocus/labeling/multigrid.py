@@ -43,12 +43,12 @@ def coarser(
         The same for half as many rows and columns, rounded up.
     """
     rows, columns = (-(-length // 2) for length in data.shape[:2])
-    # One copy of the costs, not two: they are most of the memory of labelling.
-    padded = np.zeros((2 * rows, 2 * columns, data.shape[2]), np.float32)
-    padded[: data.shape[0], : data.shape[1]] = data
+    joined = np.zeros((rows, columns, data.shape[2]), np.float32)
+    gap = np.diff(positions_of(data, position)).astype(np.float32)
+    price = np.full(data.shape[:2], np.inf if agreed else 0, np.float32)
     if not agreed:
-        _relax(padded, weights, positions_of(data, position))
-    joined = padded.reshape(rows, 2, columns, 2, -1).sum(axis=(1, 3))
+        price[:] = _RELAXATION * weights.sum(axis=0)
+    in_bands(_join_costs, rows, data, price, gap, joined)
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)
 
@@ -58,28 +58,26 @@ def finer(labels: Labels, rows: int, columns: int) -> Labels:
     return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
 
 
-def _relax(cost: Float32, weights: Float32, position: Labels) -> None:
-    """Let each node leave the common label at the price of its own edges, in place.
-
-    Costs become min_m D(m) + w |p(l) - p(m)|: joined nodes need not agree on one label, as they
-    cannot where the blur is steep. Nodes beyond the grid cost nothing, and keep to that.
-    """
-    price = np.zeros(cost.shape[:2], np.float32)
-    price[: weights.shape[1], : weights.shape[2]] = _RELAXATION * weights.sum(axis=0)
-    in_bands(_relax_rows, len(cost), price, np.diff(position).astype(np.float32), cost)
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def _relax_rows(start: int, stop: int, price: Float32, gap: Float32, cost: Float32) -> None:
-    _, columns, count = cost.shape
-    for i in range(start, stop):
+def _join_costs(
+    start: int, stop: int, data: Float32, price: Float32, gap: Float32, joined: Float32
+) -> None:
+    """Add up the costs of two by two nodes, each of which may leave the common label at a price.
+
+    Their costs become min_m D(m) + w |p(l) - p(m)|: joined nodes need not agree on one label, as
+    they cannot where the blur is steep. An infinite price makes them agree.
+    """
+    rows, columns, count = data.shape
+    cost = np.empty(count, np.float32)
+    for i in range(2 * start, min(2 * stop, rows)):
         for j in range(columns):
+            cost[:] = data[i, j]
             for label in range(1, count):
-                below = cost[i, j, label - 1] + price[i, j] * gap[label - 1]
-                cost[i, j, label] = min(cost[i, j, label], below)
+                cost[label] = min(cost[label], cost[label - 1] + price[i, j] * gap[label - 1])
             for label in range(count - 2, -1, -1):
-                above = cost[i, j, label + 1] + price[i, j] * gap[label]
-                cost[i, j, label] = min(cost[i, j, label], above)
+                cost[label] = min(cost[label], cost[label + 1] + price[i, j] * gap[label])
+            for label in range(count):
+                joined[i // 2, j // 2, label] += cost[label]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
