@@ -8,9 +8,11 @@ them prefers is chance.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.candidates import BlurCandidates
 
 Float32 = NDArray[np.float32]
@@ -30,7 +32,20 @@ _INFORMATIVE, _STEEPNESS = 4.0, 3.0
 
 def limited_below_top(curve: Float32) -> Float32:
     """Return curves relative to their maxima, at least -15: (R, C, L)."""
-    return np.maximum(curve - curve.max(axis=2, keepdims=True), -DEPTH)
+    limited = np.empty(curve.shape, np.float32)
+    in_bands(_limit_rows, len(curve), curve, DEPTH, limited)
+    return limited
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _limit_rows(start: int, stop: int, curve: Float32, depth: np.float32, limited: Float32) -> None:
+    for row in range(start, stop):
+        for column in range(curve.shape[1]):
+            top = curve[row, column, 0]
+            for scale in range(1, curve.shape[2]):
+                top = max(top, curve[row, column, scale])
+            for scale in range(curve.shape[2]):
+                limited[row, column, scale] = max(curve[row, column, scale] - top, -depth)
 
 
 def evidence_share(candidates: BlurCandidates) -> Float32:
