@@ -58,7 +58,7 @@ def averaged_curve(candidates: BlurCandidates, every: int = 1) -> Float32:
 
     Only at every so many scales, if `every` is above 1.
     """
-    some = candidates.curve[..., ::every]
+    some = np.ascontiguousarray(candidates.curve[..., ::every])
     sigma = _NEIGHBORHOOD / candidates.stride
     return gaussian_filter(limited_below_top(some), (sigma, sigma, 0))
 
