@@ -9,13 +9,14 @@ import ast
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import napari_defocus
-from napari_defocus.core.threads import in_bands
+from napari_defocus.core.threads import in_bands, in_order
 
 PACKAGE = Path(napari_defocus.__file__).parent
 
@@ -177,3 +178,18 @@ def test_error_in_a_band_is_raised():
 
     with pytest.raises(MemoryError, match="no room"):
         in_bands(fail, 100)
+
+
+def test_results_come_in_the_order_of_the_items():
+    def slow_first(item):
+        time.sleep(0.05 * (item == 0))
+        return item
+
+    assert list(in_order(slow_first, range(9))) == list(range(9))
+
+
+def test_error_of_one_item_is_raised_in_its_place():
+    found = in_order(lambda item: 6 // item, [2, 1, 0, 3])
+    assert [next(found), next(found)] == [3, 6]
+    with pytest.raises(ZeroDivisionError):
+        next(found)

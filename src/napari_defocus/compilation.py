@@ -31,18 +31,18 @@ from napari_defocus.labeling.blur_map import labeled_blur_map
 from napari_defocus.labeling.confidence import map_confidence
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.labeling.segmentation import labeled_mask
-from napari_defocus.likelihood import gabor, maxima, profile_likelihood
+from napari_defocus.likelihood import evidence, gabor, maxima, profile_likelihood, scale_space
 from napari_defocus.likelihood.estimation import Estimation
 from napari_defocus.psf.families import Disc
 
 _MODULES = (
-    *(gabor, profile_likelihood, maxima, data_term, multigrid),
+    *(gabor, profile_likelihood, maxima, evidence, scale_space, data_term, multigrid),
     *(graph_cuts, pairwise_term, pixel_refinement, continuous_refinement),
 )
 """Where the kernels of maps, masks and confidences are."""
 
-_SIDE = 72
-"""px, as many windows as pixels: enough for a coarser grid of labels."""
+_SIDE = 168
+"""px: enough for two levels of averaged pixels, and for a coarser grid of labels."""
 
 _turn = threading.Lock()
 _compiled = False
@@ -73,7 +73,7 @@ def _measure_something() -> None:
     sharp = np.random.default_rng(0).random((_SIDE, _SIDE, 3), np.float32)
     blurred = (9 * gaussian_filter(sharp, (3, 3, 0)) - 4).astype(np.float32)
     picture = np.where(np.arange(_SIDE)[:, None] < _SIDE // 2, sharp, blurred)
-    how = Estimation(Disc(), stride=1)
+    how = Estimation(Disc(), stride=2)
     prepared = how.prepared(picture)
     candidates = how.candidates(prepared, 1e-5)
     problem = LabelingProblem.of(candidates, prepared)

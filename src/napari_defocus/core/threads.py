@@ -11,13 +11,17 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 _BANDS_A_THREAD = 4
 """So that a thread whose rows are quick can take more of them. Results do not depend on it."""
@@ -67,6 +71,34 @@ def in_bands(kernel: Callable[..., None], length: int, *arguments: Any, least: i
     ]
     for band in started:
         band.result()
+
+
+def in_order(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """Call a function for each item, on several threads; yield the results in the items' order.
+
+    Parameters
+    ----------
+    function : callable
+        What takes long in it runs without the GIL. Kernels that it calls run in its own thread.
+    items : sequence
+    """
+    threads = thread_count()
+    if threads == 1 or len(items) <= 1 or getattr(_alone, "asked", False):
+        yield from map(function, items)
+        return
+
+    def alone(item: Item) -> Result:
+        with in_one_thread():
+            return function(item)
+
+    # No more than the threads take at once, as each may need much memory.
+    started: deque[Future[Result]] = deque()
+    for item in items:
+        started.append(_pool(os.getpid(), threads).submit(alone, item))
+        if len(started) == threads:
+            yield started.popleft().result()
+    while started:
+        yield started.popleft().result()
 
 
 @lru_cache(maxsize=1)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.core.threads import in_bands
+from napari_defocus.core.threads import in_bands, in_order
 from napari_defocus.labeling.multigrid import STEPS, Float32, Labels
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
@@ -165,15 +165,20 @@ def refine_curves(
     scale, total = np.zeros(labels.shape), np.zeros(labels.shape)
     overlap, margin = -(-_OVERLAP // stride), -(-_MARGIN // stride)
     tiles = list(_tiles(labels.shape, own, overlap, margin))
-    for done, (around, share) in enumerate(tiles):
-        progress("Smoothing out the steps", done / len(tiles))
+
+    def solved(around: Slices) -> Float64:
         form = strength * _smoothness_form(labels[around], weights[:, *around], jump, spacing)
         start = LABEL_STEP * labels[around].astype(np.float64)
         near = curve[around].reshape(start.size, -1)
-        solved = _solve(start.ravel(), near, scales, form, independent[around].ravel())
-        scale[around] += share * solved.reshape(start.shape)
+        found = _solve(start.ravel(), near, scales, form, independent[around].ravel())
+        return found.reshape(start.shape)
+
+    progress("Smoothing out the steps", 0.0)
+    parts = in_order(solved, [around for around, _ in tiles])
+    for done, ((around, share), part) in enumerate(zip(tiles, parts, strict=True), 1):
+        scale[around] += share * part
         total[around] += share
-    progress("Smoothing out the steps", 1.0)
+        progress("Smoothing out the steps", done / len(tiles))
     return np.clip(scale / total, 0, scales[-1]).astype(np.float32)
 
 
