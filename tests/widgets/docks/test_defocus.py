@@ -353,5 +353,6 @@ def test_probe_and_focus_curve_open_beside_it(window, docked, finish, method, te
     widget.settings.threshold.value = 3.0
     qtbot.waitUntil(lambda: bool(explained))
     docks = list(window.window.dock_widgets)
-    assert any("Probe" in name for name in docks)
-    assert any("Focus curve" in name for name in docks)
+    assert {"Why here? (Defocus)", "Focus curve (Defocus)"} <= set(docks), "as from the menus"
+    widget.tools.open_probe()
+    assert list(window.window.dock_widgets) == docks, "no second one"

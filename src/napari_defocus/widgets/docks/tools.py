@@ -19,7 +19,9 @@ from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
 from napari_defocus.widgets.export.map_files import TIFF_ENDINGS, open_map, save_map, saving_failure
 from napari_defocus.widgets.export.script import script_of
 from napari_defocus.widgets.forms.defocus_panel import DefocusPanel
+from napari_defocus.widgets.forms.tabs import dock_name
 from napari_defocus.widgets.forms.workers import Run
+from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     METADATA_KEY,
@@ -29,7 +31,7 @@ from napari_defocus.widgets.layers.result_metadata import (
 
 T = TypeVar("T")
 
-PROBE, FOCUS_CURVE, SHARPEST_PLANE = "Probe", "Focus curve", "Sharpest plane"
+PROBE, FOCUS_CURVE, SHARPEST_PLANE = "Why here?", "Focus curve", "Sharpest plane"
 FEATURES = "Features table widget"
 
 _IN_3D, _IN_2D = "Show in 3-D", "Back to 2-D"
@@ -58,8 +60,8 @@ class Tools:
         self._viewer = panel._viewer
         self._probe: weakref.ref[Any] | None = None
         self.probe = _button(
-            "Why here?",
-            "Open the probe: how likely each blur is at the place under the mouse, and what part "
+            PROBE,
+            "Open a dock that explains the map: how likely each blur is at the place under the mouse, and what part "
             "of the picture says so.",
             self.open_probe,
         )
@@ -67,12 +69,12 @@ class Tools:
             _IN_3D, "Show the picture as a relief of its blur, and go back again.", self.toggle_3d
         )
         self.curve = _button(
-            "Focus curve",
+            FOCUS_CURVE,
             "For stacks that were measured as a whole: how much of each plane is in focus.",
             self.open_focus_curve,
         )
         self.sharpest = _button(
-            "Sharpest plane",
+            SHARPEST_PLANE,
             "For stacks through focus: in which plane each place is in focus, and one picture of "
             "the sharpest pixels.",
             self.open_sharpest_plane,
@@ -138,12 +140,19 @@ class Tools:
         """Open the widget that compares the planes of a stack."""
         self._opened(SHARPEST_PLANE, SharpestPlaneWidget)
 
-    def _opened(self, name: str, widget_class: Callable[..., Any]) -> Any:
+    def _opened(self, name: str, widget_class: type[Any]) -> Any:
         """Return a widget of ours in a dock, which may be there already."""
         window = getattr(self._viewer, "window", None)
         if window is None:
             return widget_class(self._viewer)
-        dock, widget = window.add_plugin_dock_widget("napari-defocus", name, tabify=True)
+        # However it was opened, its name has another end.
+        there = [each for each in window.dock_widgets.values() if isinstance(each, widget_class)]
+        if there:
+            widget = unwrapped(there[-1])
+            dock = widget.native.parent()
+        else:
+            widget = widget_class(self._viewer)
+            dock = window.add_dock_widget(widget, name=dock_name(name), tabify=True)
         dock.show()
         dock.raise_()  # it may be there already, behind another tab
         return widget
