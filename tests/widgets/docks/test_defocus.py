@@ -61,6 +61,44 @@ def test_what_is_done_no_more_is_not_said(measured, finished):
     assert measured.status.value == "Nothing is in focus."
 
 
+def test_nothing_is_said_of_results_and_pictures_that_are_gone(viewer, measured):
+    for layer in list(viewer.layers)[1:]:
+        viewer.layers.remove(layer)
+    assert "were removed" in measured.status.value
+    measured.settings.threshold.value = 3.0
+    assert names(viewer) == ["leaf"], "a slider does not bring them back"
+    viewer.layers.clear()
+    assert measured.status.value.startswith("Open a picture")
+
+
+def test_what_was_said_of_a_layer_goes_with_it(viewer, measured, finished):
+    finished(measured.tools.add_regions())
+    viewer.layers.remove("leaf regions")
+    assert "Noise variance" in measured.status.value
+
+
+def test_each_picture_has_its_own_words(viewer, measured, texture):
+    viewer.add_image(texture[::-1], name="other")
+    measured.reset_choices()
+    measured.image.value = viewer.layers["other"]
+    assert "how blurred is “other”" in measured.status.value
+    measured.image.value = viewer.layers["leaf"]
+    assert "Noise variance" in measured.status.value
+
+
+def test_a_single_picture_after_a_stack_has_no_planes(viewer, opened, finish, method, texture):
+    viewer.add_image(np.stack([texture] * 3), name="stack")
+    widget = opened(DefocusWidget)
+    widget.planes.value = "all"
+    assert "all 3 planes" in widget.status.value
+    viewer.add_image(texture, name="leaf")
+    widget.reset_choices()
+    widget.image.value = viewer.layers["leaf"]
+    finish(widget)
+    assert "plane" not in widget.status.value
+    assert viewer.layers["leaf blur (px)"].data.shape == texture.shape
+
+
 def test_every_button_explains_itself(opened):
     tools = opened(DefocusWidget).tools
     for button in vars(tools).values():
@@ -299,10 +337,12 @@ def test_relief_and_the_way_back(viewer, measured, finished):
     finished(measured.tools.toggle_3d())
     assert viewer.dims.ndisplay == 3
     assert measured.tools.relief.text == "Back to 2-D"
+    assert "Turn the relief" in measured.status.value
     assert measured.tools.toggle_3d() is None
     assert viewer.dims.ndisplay == 2
     assert [layer.visible for layer in viewer.layers] == visible
     assert measured.tools.relief.text == "Show in 3-D"
+    assert "Turn the relief" not in measured.status.value
 
 
 def test_copied_script_gives_the_same_map_and_mask_bit_for_bit(

@@ -28,8 +28,6 @@ from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, layer_of_res
 
 MAP, MASK, RESTORE, DEPTH, MORE = "Map", "In focus", "Restore", "Depth", "More"
 
-_FIRST_STEPS = "Choose an image and press “Measure”."
-
 
 class DefocusWidget(DefocusPanel):
     """Measure the blur of a picture, correct what is in focus, take the blur away, tell distances.
@@ -109,7 +107,6 @@ class DefocusWidget(DefocusPanel):
         self.rows.addWidget(self.pages.native)
         self.rows.addWidget(self.tools.native)
         self.rows.addStretch(1)
-        self.status.value = _FIRST_STEPS
 
     def _wire(self) -> None:
         super()._wire()
@@ -121,7 +118,10 @@ class DefocusWidget(DefocusPanel):
         self._on_image(self.image.value)
 
     def _on_image(self, layer: Image | None) -> None:
-        self.planes.visible = layer is not None and layer.ndim > 2
+        has_planes = layer is not None and layer.ndim > 2
+        self.planes.visible = has_planes
+        if not has_planes:
+            self.planes.value = "shown"
         self.tools.refresh()
 
     def reset_choices(self, *_: Any) -> None:

@@ -61,8 +61,8 @@ class Tools:
         self._probe: weakref.ref[Any] | None = None
         self.probe = _button(
             PROBE,
-            "Open a dock that explains the map: how likely each blur is at the place under the mouse, and what part "
-            "of the picture says so.",
+            "Open a dock that explains the map: how likely each blur is at the place under the "
+            "mouse, and what part of the picture says so.",
             self.open_probe,
         )
         self.relief = _button(
@@ -111,7 +111,8 @@ class Tools:
         )
 
     def refresh(self) -> None:
-        """Let the buttons say what they do now."""
+        """Let the buttons and the status say what is so now."""
+        self._panel._tell()
         self.relief.text = _IN_2D if view_state(self._viewer) is not None else _IN_3D
         image = self._panel.image.value
         self.curve.enabled = self.sharpest.enabled = image is not None and image.ndim > 2
@@ -170,7 +171,6 @@ class Tools:
 
         def show(surface: Any) -> None:
             show_made_relief(self._viewer, image, surface)
-            self._panel.status.value = "Turn the relief with the mouse."
             self.refresh()
 
         return self._quickly(lambda _: make(), show)
@@ -187,7 +187,7 @@ class Tools:
 
         def show(measured: Any) -> None:
             wanted.show(self._viewer, measured)
-            self._panel.status.value = wanted.description(measured)
+            self._panel.say(wanted.description(measured))
             window = getattr(self._viewer, "window", None)
             if window is not None:
                 window.add_plugin_dock_widget("napari", FEATURES, tabify=True)
@@ -202,7 +202,7 @@ class Tools:
 
         def take(script: str) -> None:
             QApplication.clipboard().setText(script)
-            self._panel.status.value = "The script is on the clipboard."
+            self._panel.say("The script is on the clipboard.")
             of_one = " It does the plane that is shown." if self._panel.planes.all_planes else ""
             show_info(
                 f"A Python script that gives the same map and mask is on the clipboard.{of_one}"
@@ -279,7 +279,7 @@ class Tools:
         except (OSError, ValueError, TypeError) as reason:
             show_error(saving_failure(reason))
         else:
-            self._panel.status.value = description(done)
+            self._panel.say(description(done))
 
     def _asked_to_save(self, suggested: str, kind: str) -> Path | None:
         chosen, _ = QFileDialog.getSaveFileName(self._panel.native, "Save", suggested, kind)

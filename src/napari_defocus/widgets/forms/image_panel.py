@@ -128,7 +128,7 @@ class ImagePanel(RunPanel):
         if self._still_current():
             keep = self._keeps_earlier()
             yield from add_results_stepwise(self._viewer, results.layers, keep_earlier=keep)
-            self.status.value = results.summary
+            self.say(results.summary)
 
     def _keeps_earlier(self) -> bool:
         """Tell whether the results of earlier runs stay."""
