@@ -145,7 +145,7 @@ def _showing(
         layer = viewer.add_layer(layer)
         if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
-            layer.colorbar.visible = True
+            _show_color_bar(layer)
         yield layer
         return
     if _is_plane_of(layer, data, keywords):
@@ -160,6 +160,13 @@ def _showing(
         layer.contrast_limits_range = limits
         layer.contrast_limits = limits
     yield layer
+
+
+def _show_color_bar(layer: Layer) -> None:
+    """Show what the colours mean, and the layer's name, with its unit, beside it."""
+    layer.colorbar.visible = True
+    layer.name_overlay.position = layer.colorbar.position
+    layer.name_overlay.visible = True
 
 
 def _can_hold(layer: Layer, keywords: dict[str, Any]) -> bool:
