@@ -219,13 +219,27 @@ def test_a_run_on_all_planes_gives_stacks_and_then_one_plane_is_renewed(
     assert tuple(maps.scale) == (5, 1, 1)
 
 
-def test_part_of_the_picture_is_measured_where_it_lies(viewer, leaf, opened, finish, method):
+def test_part_of_the_picture_is_measured_where_it_lies_and_beside_the_whole(
+    viewer, leaf, opened, finish, finished, method
+):
     shapes = viewer.add_shapes([np.array([[20, 30], [20, 120], [100, 120], [100, 30]])])
     widget = opened(DefocusWidget)
-    widget.region.value = shapes
     finish(widget)
-    assert method.estimations[0]["image"].shape == (41, 31)
-    assert tuple(viewer.layers["leaf blur (px)"].translate) == (20, 30)
+    whole = viewer.layers["leaf blur (px)"].data.copy()
+    widget.region.value = shapes
+    method.radius = 1.0
+    finish(widget)
+    assert method.estimations[1]["image"].shape == (41, 31)
+    part = viewer.layers["leaf (Shapes) blur (px)"]
+    assert tuple(part.translate) == (20, 30)
+    assert part.data.max() == 1.0
+    np.testing.assert_array_equal(viewer.layers["leaf blur (px)"].data, whole)
+    covers = "leaf not trusted", "leaf (Shapes) not trusted"
+    assert [viewer.layers[name].data.shape for name in covers] == [whole.shape, (41, 31)]
+    assert viewer.layers.selection.active is part
+    assert not shapes.face_color[:, 3].any(), "the fill covers no result"
+    finished(widget.tools.add_regions())
+    assert viewer.layers["leaf (Shapes) regions"].data.shape == (41, 31)
 
 
 def test_settings_are_saved_and_loaded(viewer, measured, opened, tmp_path, messages):

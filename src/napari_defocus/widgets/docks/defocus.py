@@ -159,7 +159,7 @@ class DefocusWidget(DefocusPanel):
     def _source(self, plane: Plane) -> MapSource:
         """Return where the map comes from: of a large plane, the one that was measured."""
         settings = self.settings.map_settings()
-        layer = layer_of_result(self._viewer.layers, BLUR_MAP, plane.name)
+        layer = layer_of_result(self._viewer.layers, BLUR_MAP, plane.name, plane.region)
         if is_large(plane) and isinstance(layer, Image) and settings_of_map(layer) == settings:
             return source_of_layer(layer, plane, self._viewer, settings.psf)
         return EstimatedSource(settings=settings)

@@ -181,7 +181,8 @@ class Tools:
         if image is None:
             show_warning("There is no image to measure. Open an image first.")
             return None
-        wanted = wanted_regions(self._viewer, image)
+        plane = self._panel._asked_for(self._panel.shown_plane)
+        wanted = None if plane is None else wanted_regions(self._viewer, image, plane)
         if wanted is None:
             return None
 

@@ -46,11 +46,14 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     METADATA_KEY,
     NOT_TRUSTED,
+    REGION,
     Results,
     confidence_description,
     layer_of_result,
     made_by_us,
     noise_description,
+    region_of_result,
+    results_of,
 )
 from napari_defocus.widgets.layers.seeds import Seeds, SeedsWatch, add_seeds_layer, shown_seeds
 
@@ -363,6 +366,7 @@ class DefocusPanel(ImagePanel):
             yield layer
         self._on_min_confidence(self.settings.min_confidence.value)
         self._choose_first(results.layers)
+        self.region.uncover()
         self._found.note(
             analysis.plane,
             results.summary,
@@ -433,6 +437,7 @@ class DefocusPanel(ImagePanel):
             if not whole and layer not in before:
                 self._rough.add(layer)
             yield layer
+        self.region.uncover()
         if whole:
             self._rough.clear()
             self._choose_first(results)
@@ -464,8 +469,8 @@ class DefocusPanel(ImagePanel):
 
     def _confidence(self, results: list[LayerDataTuple]) -> NDArray[np.floating] | None:
         """Return the confidence that is shown of what results are of, if it is."""
-        source = results[0][1]["metadata"][METADATA_KEY]["source"]
-        layer = layer_of_result(self._viewer.layers, CONFIDENCE, source)
+        made = results[0][1]["metadata"][METADATA_KEY]
+        layer = self._shown_result(CONFIDENCE, made)
         if layer is None:
             return None
         # Of a pyramid, the smallest level tells enough, and is read at once.
@@ -491,23 +496,30 @@ class DefocusPanel(ImagePanel):
     def _choose_first(self, results: list[LayerDataTuple]) -> None:
         """Make the map the active layer, or the mask, unless somebody paints seeds."""
         selection, made = self._viewer.layers.selection, results[0][1]["metadata"][METADATA_KEY]
-        first = layer_of_result(self._viewer.layers, made["result"], made["source"])
+        first = self._shown_result(made["result"], made)
         if first is not None and (selection.active is None or selection.active != self.seeds.value):
             selection.active = first
+
+    def _shown_result(self, result: str, made: dict[str, Any]) -> Layer | None:
+        """Return the newest layer of a result of the same part of the same picture."""
+        region = (made.get(REGION) or {}).get("of", "")
+        return layer_of_result(self._viewer.layers, result, made["source"], region)
 
     def _show_comparison(self, rows: list[tuple[str, PSFEvidence]]) -> None:
         self.comparison.show(rows)
         self.say("The nearer the evidence is to 0, the better the lens fits.")
 
     def _on_min_confidence(self, min_confidence: float) -> None:
-        """Cover what is not trusted by the confidence layer of the chosen image, if any."""
-        name = getattr(self.image.value, "name", "")
-        confidence = layer_of_result(self._viewer.layers, CONFIDENCE, name)
-        covered = layer_of_result(self._viewer.layers, NOT_TRUSTED, name)
-        if confidence is None or (covered is None and min_confidence == 0):
-            return
-        cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
-        add_results(self._viewer, [cover])
+        """Cover what is not trusted by the confidence layers of the chosen image and its parts."""
+        layers, name = self._viewer.layers, getattr(self.image.value, "name", "")
+        newest: dict[str, Layer] = {}
+        for confidence in results_of(layers, CONFIDENCE, name):
+            newest.setdefault(region_of_result(confidence), confidence)
+        for region, confidence in newest.items():
+            covered = layer_of_result(layers, NOT_TRUSTED, name, region)
+            if covered is not None or min_confidence > 0:
+                cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
+                add_results(self._viewer, [cover])
 
 
 def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
