@@ -153,6 +153,37 @@ def test_new_seeds_are_ready_to_paint(viewer, measured):
     assert measured.seeds.value == seeds
 
 
+def test_picture_is_seen_through_its_map_while_seeds_are_painted(viewer, measured, finish):
+    blur_map, veil = viewer.layers["leaf blur (px)"], viewer.layers["leaf not trusted"]
+    blur_map.opacity = 0.9
+    before = veil.opacity
+    seeds = measured.add_seeds()
+    assert (blur_map.opacity, veil.opacity) == (0.45, before / 2)
+    seeds.mode = "pan_zoom"
+    assert (blur_map.opacity, veil.opacity) == (0.9, before)
+    seeds.mode = "paint"
+    finish(measured)
+    assert blur_map.opacity == 0.45, "results that are renewed are seen through, too"
+    viewer.layers.selection.active = blur_map
+    assert (blur_map.opacity, veil.opacity) == (0.9, before)
+
+
+def test_opacity_that_is_chosen_while_painting_stays(viewer, measured):
+    blur_map = viewer.layers["leaf blur (px)"]
+    seeds = measured.add_seeds()
+    blur_map.opacity = 0.2
+    seeds.mode = "pan_zoom"
+    assert blur_map.opacity == 0.2
+
+
+def test_seeds_lie_above_a_map_that_comes_after_them(viewer, leaf, opened, finish, method):
+    widget = opened(DefocusWidget)
+    seeds = widget.add_seeds()
+    finish(widget)
+    assert viewer.layers[-1] is seeds
+    assert viewer.layers.selection.active is seeds
+
+
 def test_earlier_results_stay_if_that_is_wanted(viewer, measured, finish, method):
     before = viewer.layers["leaf blur (px)"].data.copy()
     measured.keep_earlier.value = True

@@ -275,6 +275,20 @@ def test_click_pins_and_another_one_moves_the_pin(viewer, beside, qtbot):
 
 
 @pytest.mark.display
+def test_brush_rests_when_the_probe_comes_so_that_a_click_pins_and_paints_nothing(
+    viewer, beside, qtbot
+):
+    beside.stop()
+    seeds = viewer.add_labels(np.zeros((SIDE, SIDE), np.uint8))
+    seeds.mode = "paint"
+    beside.start()
+    assert seeds.mode == "pan_zoom"
+    assert viewer.layers.selection.active is viewer.layers["stones"]
+    click(viewer, (30, 40))
+    assert not beside.follow.value, "pinned"
+
+
+@pytest.mark.display
 def test_drag_and_brush_do_not_pin(viewer, beside):
     click(viewer, (30, 40), drag=30)
     assert beside.follow.value

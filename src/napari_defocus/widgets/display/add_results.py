@@ -145,7 +145,7 @@ def _showing(
         layer = viewer.add_layer(layer)
         if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
-            _show_color_bar(layer)
+            show_color_bar(layer)
         yield layer
         return
     if _is_plane_of(layer, data, keywords):
@@ -162,7 +162,7 @@ def _showing(
     yield layer
 
 
-def _show_color_bar(layer: Layer) -> None:
+def show_color_bar(layer: Layer) -> None:
     """Show what the colours mean, and the layer's name, with its unit, beside it."""
     layer.colorbar.visible = True
     layer.name_overlay.position = layer.colorbar.position

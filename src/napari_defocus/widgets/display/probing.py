@@ -18,6 +18,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     IN_FOCUS,
     METADATA_KEY,
     STORE,
+    layer_of_result,
     pictures_in,
     results_of,
 )
@@ -162,6 +163,18 @@ def image_to_probe(viewer: ViewerModel, cache: JobCache) -> Image | None:
     ordered = sorted(pictures_in(viewer.layers), key=lambda image: image is active)
     known = [image for image in ordered if cache.analysed.latest(unwrapped(image)) is not None]
     return (known or ordered or [None])[-1]
+
+
+def lay_down_tools(viewer: ViewerModel, image: Image | None) -> None:
+    """Let the brush of the active layer rest, and select the map of an image, else the image."""
+    active = viewer.layers.selection.active
+    if active is None or str(active.mode) == "pan_zoom":
+        return
+    active.mode = "pan_zoom"
+    if image is None or image not in viewer.layers:
+        return
+    results = (layer_of_result(viewer.layers, name, image.name) for name in (BLUR_MAP, IN_FOCUS))
+    viewer.layers.selection.active = next((layer for layer in results if layer is not None), image)
 
 
 def may_pin(viewer: ViewerModel) -> bool:

@@ -16,9 +16,10 @@ from qtpy.QtCore import QTimer
 
 from napari_defocus import PSFEvidence
 from napari_defocus.settings import CONFIDENT
-from napari_defocus.widgets.display.add_results import add_results, add_results_stepwise
+from napari_defocus.widgets.display.add_results import add_results_stepwise
 from napari_defocus.widgets.display.dock_state import DockState, Notice
 from napari_defocus.widgets.display.found_results import FoundResults
+from napari_defocus.widgets.display.see_through import SeeThrough
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.lens_comparison import LensComparison
 from napari_defocus.widgets.forms.live_labels import LiveLabels
@@ -145,6 +146,7 @@ class DefocusPanel(ImagePanel):
             field.number.changed.connect(lambda _: self.update_labels())
         self.live.changed.connect(lambda _: self.update_labels())
         # napari may tell of a stroke before it is on the layer.
+        self._see_through = SeeThrough(self._viewer)
         self._seeds_watch = SeedsWatch(lambda: QTimer.singleShot(0, lambda: self._on_stroke()))
         self.seeds.changed.connect(lambda layer: self._on_seeds(layer))
         self._live_labels = LiveLabels(
@@ -278,6 +280,7 @@ class DefocusPanel(ImagePanel):
 
     def _on_seeds(self, layer: Labels | None) -> None:
         self._seeds_watch.watch(layer)
+        self._see_through.watch(layer)
         self.update_labels()
 
     def _on_stroke(self) -> None:
@@ -421,6 +424,7 @@ class DefocusPanel(ImagePanel):
 
     def _on_closed(self) -> None:
         self._live_labels.stop()
+        self._see_through.end()
         for signal in self._viewer_signals():
             signal.disconnect(self._tell)
         super()._on_closed()
@@ -491,6 +495,7 @@ class DefocusPanel(ImagePanel):
                 layer.visible = True
             yield layer
         if painted is not None and painted == self.seeds.value:
+            _to_top(self._viewer, painted)
             selection.active = painted
 
     def _choose_first(self, results: list[LayerDataTuple]) -> None:
@@ -519,7 +524,14 @@ class DefocusPanel(ImagePanel):
             covered = layer_of_result(layers, NOT_TRUSTED, name, region)
             if covered is not None or min_confidence > 0:
                 cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
-                add_results(self._viewer, [cover])
+                for _ in self._showing_below_brush([cover], keep_earlier=False):
+                    pass
+
+
+def _to_top(viewer: ViewerModel, layer: Layer) -> None:
+    """Let no other layer lie above one."""
+    if viewer.layers[-1] != layer:
+        viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
 
 
 def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
