@@ -132,12 +132,14 @@ def test_every_page_and_tool_of_defocus_fits_and_comes_to_the_front(small, metho
     widget, native = DefocusWidget(small), qt_window(small)
     defocus = dock(small, widget, "Defocus")
     finish(widget)
-    tabs = widget.pages.native
-    for number in range(tabs.count()):
-        tabs.setCurrentIndex(number)
-        settle()
-        assert_fits(small, tabs.tabText(number))
     widget.image.value = small.layers["stack"]
+    for title, section in widget.pages.sections.items():
+        widget.pages.show(title)
+        settle()
+        assert_fits(small, title)
+        assert is_in_sight(section.heading), title
+        shown = section.form.visibleRegion().boundingRect()
+        assert shown.height() == min(section.form.height(), shown.height()), title
     tools = widget.tools.open_probe, widget.tools.open_focus_curve, widget.tools.open_sharpest_plane
     for press in (*tools, *tools):
         defocus.raise_()

@@ -2,6 +2,7 @@
 
 import json
 import runpy
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,12 +10,13 @@ from imageio.v3 import imwrite
 from magicgui.widgets import PushButton
 from napari.settings import get_plugin_settings
 from npe2 import PluginManifest
+from qtpy.QtCore import QPoint, Qt
 from qtpy.QtWidgets import QApplication
 
 import napari_defocus
 from napari_defocus import Settings, ThinLens, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.docks.defocus import DEPTH, MASK, MORE, DefocusWidget
+from napari_defocus.widgets.docks.defocus import DEPTH, MASK, MORE, STACK, DefocusWidget
 from napari_defocus.widgets.layers.preferences import PLUGIN
 
 pytestmark = pytest.mark.display
@@ -146,8 +148,7 @@ def test_missing_numbers_of_the_lens_are_asked_for(measured, messages):
 
 def test_new_seeds_are_ready_to_paint(viewer, measured):
     measured.add_seeds()
-    tabs = measured.pages.native
-    assert tabs.tabText(tabs.currentIndex()) == MASK
+    assert measured.pages.sections[MASK].is_open
     seeds = viewer.layers.selection.active
     assert (seeds.name, seeds.mode) == ("leaf seeds", "paint")
     assert measured.seeds.value == seeds
@@ -416,14 +417,44 @@ def test_copied_script_gives_the_same_map_and_mask_bit_for_bit(
     assert 0.2 < found["in_focus"].mean() < 0.8
 
 
-def test_pages_have_what_they_say(opened):
+def test_sections_open_and_close_and_that_of_stacks_is_there_for_stacks(viewer, opened, texture):
     widget = opened(DefocusWidget)
-    tabs = widget.pages.native
-    assert [tabs.tabText(n) for n in range(tabs.count())] == [
-        *("Map", "In focus", "Restore", "Depth", "More")
+    sections = widget.pages.sections
+    assert list(sections) == [
+        *("Map", "In focus", "Restore", "Depth", "Stack", "Save and open", "More")
     ]
-    widget.pages.show(MORE)
-    assert tabs.tabText(tabs.currentIndex()) == MORE
+    assert [title for title in sections if sections[title].is_open] == [MASK]
+    sections[MORE].heading.click()
+    assert not sections[MORE].form.isHidden()
+    sections[MORE].heading.click()
+    assert sections[MORE].form.isHidden()
+    assert sections[STACK].isHidden()
+    viewer.add_image(np.stack([texture] * 3), name="stack")
+    widget.reset_choices()
+    assert not sections[STACK].isHidden()
+
+
+def test_everything_is_reached_by_the_tab_key_from_top_to_bottom_and_has_a_name(opened):
+    widget = opened(DefocusWidget)
+    native = widget.native
+    for section in widget.pages.sections.values():
+        section.open()
+    native.show()
+    reached, stop = [], widget.image.native
+    while stop not in reached:
+        if stop.focusPolicy() & Qt.TabFocus and stop.isVisibleTo(native):
+            reached.append(stop)
+            assert stop.accessibleName(), stop
+        stop = stop.nextInFocusChain()
+    content = widget.pages.native.widget()
+    tops = [s.mapTo(content, QPoint(0, 0)).y() for s in reached if content.isAncestorOf(s)]
+    assert len(tops) > 40
+    assert all(below > above - 10 for above, below in pairwise(tops)), "fields of a row are level"
+    bottom = [widget.tools.probe.native, widget.tools.relief.native]
+    assert reached[-2:] == bottom
+    buttons = [widget.run_button, widget.seeds_button, widget.restore_button, widget.depth_button]
+    assert {button.native for button in buttons} <= set(reached)
+    assert [stop.accessibleName() for stop in reached].count("in focus up to (px)") == 3
 
 
 def test_probe_and_focus_curve_open_beside_it(window, docked, finish, method, texture, qtbot):

@@ -7,7 +7,12 @@ from napari.components import ViewerModel
 from napari.layers import Image
 
 from napari_defocus.core.checks import Linearize
-from napari_defocus.widgets.docks.tools import Tools
+from napari_defocus.widgets.docks.tools import Tools, side_by_side
+from napari_defocus.widgets.forms.accessibility import (
+    describe,
+    set_shortcut,
+    tab_in_reading_order,
+)
 from napari_defocus.widgets.forms.defocus_panel import DefocusPanel
 from napari_defocus.widgets.forms.depth_form import DepthForm
 from napari_defocus.widgets.forms.pages import Pages
@@ -27,6 +32,7 @@ from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, layer_of_result
 
 MAP, MASK, RESTORE, DEPTH, MORE = "Map", "In focus", "Restore", "Depth", "More"
+STACK, FILES = "Stack", "Save and open"
 
 
 class DefocusWidget(DefocusPanel):
@@ -43,7 +49,7 @@ class DefocusWidget(DefocusPanel):
     restore_button, depth_button : magicgui.widgets.PushButton
     """
 
-    SCROLLS = False  # its pages are, so that its buttons stay in sight
+    SCROLLS = False  # its sections do, so that its buttons stay in sight
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         self.pages = Pages()
@@ -94,6 +100,21 @@ class DefocusWidget(DefocusPanel):
             RESTORE, "The picture without blur", [*self.restoration.fields(), self.restore_button]
         )
         self.pages.add(DEPTH, "From blur to distance", [*self.depth.fields(), self.depth_button])
+        tools = self.tools
+        self.pages.add(
+            STACK,
+            "All planes of a stack",
+            [side_by_side(tools.curve, tools.sharpest)],
+        )
+        self.pages.add(
+            FILES,
+            "Maps, settings and a script",
+            [
+                side_by_side(tools.save_map, tools.open_map),
+                side_by_side(tools.save_settings, tools.load_settings),
+                tools.script,
+            ],
+        )
         self.pages.add(
             MORE,
             "What few people need",
@@ -101,12 +122,20 @@ class DefocusWidget(DefocusPanel):
                 *(settings.noise_variance, settings.shot_noise),
                 *(settings.camera_softness, settings.linear_light),
                 *(self.live, self.keep_earlier),
-                *(self.tools.load_settings, self.tools.save_settings),
             ],
         )
-        self.rows.addWidget(self.pages.native)
+        self.rows.addWidget(self.pages.native, 1)
         self.rows.addWidget(self.tools.native)
-        self.rows.addStretch(1)
+        self.pages.show(MASK)
+        self._serve_the_keyboard()
+
+    def _serve_the_keyboard(self) -> None:
+        set_shortcut(self.run_button, "Alt+M")
+        set_shortcut(self.seeds_button, "Alt+S")
+        set_shortcut(self.tools.probe, "Alt+Y")
+        set_shortcut(self.tools.relief, "Alt+D")
+        describe([*self, self.tools.row])
+        tab_in_reading_order(self.native)
 
     def _wire(self) -> None:
         super()._wire()
@@ -120,6 +149,7 @@ class DefocusWidget(DefocusPanel):
     def _on_image(self, layer: Image | None) -> None:
         has_planes = layer is not None and layer.ndim > 2
         self.planes.visible = has_planes
+        self.pages.sections[STACK].setVisible(has_planes)
         if not has_planes:
             self.planes.value = "shown"
         self.tools.refresh()

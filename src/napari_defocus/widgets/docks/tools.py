@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from magicgui.widgets import PushButton
+from magicgui.widgets import Container, PushButton
 from napari.layers import Image
 from napari.utils.notifications import show_error, show_info, show_warning
-from qtpy.QtWidgets import QApplication, QFileDialog, QGridLayout, QWidget
+from qtpy.QtWidgets import QApplication, QFileDialog, QWidget
 
 from napari_defocus import Settings
 from napari_defocus.settings import MaskSettings
@@ -47,10 +47,13 @@ class Tools:
 
     Attributes
     ----------
+    row : magicgui.widgets.Container
+        What is always in sight: the probe and 3-D.
     native : QWidget
-        Probe, 3-D, focus curve; map files and the script.
-    probe, relief, curve, sharpest, save_map, open_map, script : magicgui.widgets.PushButton
-        Those in `native`.
+        The row's.
+    probe, relief : magicgui.widgets.PushButton
+        Those in the row.
+    curve, sharpest, save_map, open_map, script : magicgui.widgets.PushButton
     regions, load_settings, save_settings : magicgui.widgets.PushButton
         Those that belong elsewhere in the panel.
     """
@@ -103,12 +106,8 @@ class Tools:
             "Save the form as a JSON file, which the terminal reads too.",
             self.save,
         )
-        self.native = _grid(
-            [
-                *(self.probe, self.relief, self.curve, self.sharpest),
-                *(self.save_map, self.open_map, self.script),
-            ]
-        )
+        self.row = side_by_side(self.probe, self.relief)
+        self.native: QWidget = self.row.native
 
     def refresh(self) -> None:
         """Let the buttons and the status say what is so now."""
@@ -297,10 +296,8 @@ def _button(text: str, tooltip: str, press: Callable[[], Any]) -> PushButton:
     return button
 
 
-def _grid(buttons: list[PushButton]) -> QWidget:
-    grid = QWidget()
-    layout = QGridLayout(grid)
-    layout.setContentsMargins(0, 0, 0, 0)
-    for place, button in enumerate(buttons):
-        layout.addWidget(button.native, *divmod(place, 2))
-    return grid
+def side_by_side(*buttons: PushButton) -> Container[PushButton]:
+    """Return buttons in a row."""
+    row: Container[PushButton] = Container(widgets=buttons, layout="horizontal", labels=False)
+    row.margins = (0, 0, 0, 0)
+    return row

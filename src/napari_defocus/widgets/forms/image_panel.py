@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any, ClassVar, TypeVar
 
+import pint
 from magicgui.widgets import ComboBox
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
@@ -31,6 +32,8 @@ T = TypeVar("T")
 @cache
 def prepare() -> None:
     """Load what the first run needs while its user looks at the form."""
+    # Layers need pint's units, and of two threads that load these at once, one finds none.
+    pint.Unit("pixel")
     threading.Thread(target=prepare_napari, daemon=True).start()
 
 
