@@ -18,6 +18,7 @@ STACK = DockState(picture="stack", count=9, plane=(3,))
     ("state", "stage", "said"),
     [
         (NOTHING, Stage.NO_PICTURE, "Open a picture"),
+        (replace(NOTHING, others=True), Stage.NO_PICTURE, "Only image layers can be measured"),
         (LEAF, Stage.CHOSEN, "Press “Measure”: how blurred is “leaf”"),
         (STACK, Stage.CHOSEN, "9 planes; plane 3 is shown"),
         (replace(STACK, all_planes=True), Stage.CHOSEN, "all 9 planes"),

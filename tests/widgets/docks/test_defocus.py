@@ -227,6 +227,13 @@ def test_nothing_to_be_known_is_said(viewer, measured, finish, method, monkeypat
     assert "Nothing can be known here" in measured.status.value
 
 
+def test_a_picture_that_tells_little_is_said_to_be_one(viewer, opened, finish, method):
+    viewer.add_image(np.full((90, 100), 7, np.uint8), name="wall")
+    widget = opened(DefocusWidget)
+    finish(widget)
+    assert widget.status.value.startswith("All pixels have the same value")
+
+
 def test_a_run_on_all_planes_gives_stacks_and_then_one_plane_is_renewed(
     viewer, opened, finish, method, texture, qtbot
 ):

@@ -11,6 +11,9 @@ from enum import Enum, auto
 RELIEF_HINT = "Turn the relief with the mouse. “Back to 2-D” brings everything back."
 
 
+_NO_PICTURES = "Only image layers can be measured, and only those that are no results."
+
+
 class Stage(Enum):
     """The situations of the dock."""
 
@@ -73,6 +76,8 @@ class DockState:
     ----------
     picture : str or None
         Name of the chosen image layer, None if there is none.
+    others : bool
+        Whether there are other layers, if there is none.
     count : int
         How many planes it has.
     plane : tuple of int
@@ -97,6 +102,7 @@ class DockState:
     """
 
     picture: str | None = None
+    others: bool = False
     count: int = 1
     plane: tuple[int, ...] = ()
     all_planes: bool = False
@@ -152,7 +158,8 @@ class DockState:
     def _text_of(self, stage: Stage) -> str:
         again = f"Press “{self.action}”"
         if stage is Stage.NO_PICTURE:
-            return f"Open a picture (File > Open File(s)...), then press “{self.action}”."
+            wanted = f"Open a picture (File > Open File(s)...), then press “{self.action}”."
+            return f"{_NO_PICTURES} {wanted}" if self.others else wanted
         if stage is Stage.CHOSEN:
             return self._invitation()
         if stage is Stage.GONE:

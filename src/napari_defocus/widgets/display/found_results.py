@@ -84,7 +84,7 @@ class FoundResults:
             "results": _results_in(viewer),
         }
         if image is None or image not in viewer.layers:
-            return DockState(**common)
+            return DockState(others=len(viewer.layers) > 0, **common)
         found = self._of.get(image)
         return DockState(
             picture=image.name,

@@ -35,11 +35,12 @@ from napari_defocus.widgets.forms.result_fields import (
 from napari_defocus.widgets.forms.settings_form import SettingsForm
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
-from napari_defocus.widgets.jobs.estimation import Analysed
+from napari_defocus.widgets.jobs.estimation import Analysed, Picture
 from napari_defocus.widgets.jobs.large_analysis import LargeAnalysis, is_large
 from napari_defocus.widgets.jobs.shown_labels import ShownLabels
 from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis, may_be_large
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
+from napari_defocus.widgets.layers.picture_signs import signs_of_picture
 from napari_defocus.widgets.layers.preferences import preferred_display, preferred_settings
 from napari_defocus.widgets.layers.result_layers import not_trusted_layer
 from napari_defocus.widgets.layers.result_metadata import (
@@ -464,7 +465,7 @@ class DefocusPanel(ImagePanel):
         self._shown.note(analysed, analysis, whole=whole)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
-            lines = _summary(results, self._confidence(results))
+            lines = _summary(results, self._confidence(results), analysed.picture)
             asked = analysis.estimation, analysis.mask or self.settings.mask_settings()
             plane = analysed.picture.plane
             self._found.note(plane, lines, shown, asked, all_planes=False)
@@ -534,13 +535,18 @@ def _to_top(viewer: ViewerModel, layer: Layer) -> None:
         viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
 
 
-def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
+def _summary(
+    results: list[LayerDataTuple], confidence: NDArray[np.floating] | None, picture: Picture
+) -> str:
     made = results[-1][1]["metadata"][METADATA_KEY]
-    lines = [made[name] for name in ("doubt", "lens") if name in made]
+    lines = signs_of_picture(picture.image)
+    # What is seen in the picture explains the doubt, too.
+    said = ("lens",) if lines else ("doubt", "lens")
+    lines += [made[name] for name in said if name in made]
     lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
-    if confidence is not None:
-        share = (confidence >= CONFIDENT).mean()
+    share = None if confidence is None else (confidence >= CONFIDENT).mean()
+    if share == 0:
+        lines.append("Nothing can be known here: it has no texture that tells of blur.")
+    elif share is not None:
         lines.append(confidence_description(share))
-        if share == 0:
-            lines.append("Nothing can be known here: it has no texture that tells of blur.")
     return "\n".join(lines)
