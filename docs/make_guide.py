@@ -605,7 +605,8 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # Without the Preferences of whoever runs this.
+    # Without the Preferences of whoever runs this, and without the tour.
     with tempfile.TemporaryDirectory() as folder:
         os.environ["NAPARI_CONFIG"] = str(Path(folder, "settings.yaml"))
+        Path(folder, "napari-defocus.yaml").write_text("tour:\n  shown: false\n")
         main()

@@ -4,7 +4,7 @@ from typing import Any
 
 from magicgui.widgets import PushButton, Widget
 from napari.components import ViewerModel
-from napari.layers import Image
+from napari.layers import Image, Layer
 
 from napari_defocus.core.checks import Linearize
 from napari_defocus.widgets.docks.tools import Tools, side_by_side
@@ -17,6 +17,7 @@ from napari_defocus.widgets.forms.defocus_panel import DefocusPanel
 from napari_defocus.widgets.forms.depth_form import DepthForm
 from napari_defocus.widgets.forms.pages import Pages
 from napari_defocus.widgets.forms.restoration_form import RestorationForm
+from napari_defocus.widgets.forms.tour import Tour
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.distances import Distances
 from napari_defocus.widgets.jobs.job import Job
@@ -29,7 +30,9 @@ from napari_defocus.widgets.jobs.map_source import (
 )
 from napari_defocus.widgets.jobs.restoration import Restoration
 from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.preferences import end_tour, wants_tour
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, layer_of_result
+from napari_defocus.widgets.layers.samples import dandelion
 
 MAP, MASK, RESTORE, DEPTH, MORE = "Map", "In focus", "Restore", "Depth", "More"
 STACK, FILES = "Stack", "Save and open"
@@ -47,6 +50,8 @@ class DefocusWidget(DefocusPanel):
     restoration : RestorationForm
     depth : DepthForm
     restore_button, depth_button : magicgui.widgets.PushButton
+    tour : Tour or None
+        Shown until it was seen or refused.
     """
 
     SCROLLS = False  # its sections do, so that its buttons stay in sight
@@ -66,6 +71,7 @@ class DefocusWidget(DefocusPanel):
             text="Estimate depth",
             tooltip="Add the distances that the blur stands for, with the lens above.",
         )
+        self.tour = Tour(self.open_sample, self.end_tour) if wants_tour() else None
         super().__init__(napari_viewer, blur_map=True, mask=True, action="Measure")
 
     def _fields(self) -> list[Widget]:
@@ -124,6 +130,8 @@ class DefocusWidget(DefocusPanel):
                 *(self.live, self.keep_earlier),
             ],
         )
+        if self.tour is not None:
+            self.rows.insertWidget(0, self.tour)
         self.rows.addWidget(self.pages.native, 1)
         self.rows.addWidget(self.tools.native)
         self.pages.show(MASK)
@@ -159,6 +167,24 @@ class DefocusWidget(DefocusPanel):
         super().reset_choices()
         self.pages.reset_choices()
         self.tools.refresh()
+
+    def _tell(self, _: Any = None) -> None:
+        super()._tell()
+        if self.tour is not None and not self._closed:
+            self.tour.follow(self.state.stage)
+
+    def open_sample(self) -> None:
+        """Add the picture that the tour is about."""
+        for data in dandelion():
+            self._viewer.add_layer(Layer.create(*data))
+        self.reset_choices()
+
+    def end_tour(self) -> None:
+        """Show the tour no more, in this session and in later ones."""
+        if self.tour is not None:
+            self.tour.hide()
+        self.tour = None
+        end_tour()
 
     def _on_shown(self) -> None:
         self.tools.refresh_probe()
