@@ -7,7 +7,7 @@ import pytest
 
 from napari_defocus.widgets.display.dock_state import DockState, Measured, Notice, Stage
 
-LINES = "Noise variance 3.0e-05 (found)\nConfidence 0.5 or more on 87%"
+LINES = "Noise variance 3.0e-05 (found)\nTrusted on 87% (confidence 0.5 or more)"
 NOTHING = DockState()
 LEAF = DockState(picture="leaf")
 DONE = replace(LEAF, measured=Measured(LINES, run=1), results=frozenset({1, 2}))

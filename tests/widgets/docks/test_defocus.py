@@ -276,6 +276,9 @@ def test_part_of_the_picture_is_measured_where_it_lies_and_beside_the_whole(
     covers = "leaf not trusted", "leaf (Shapes) not trusted"
     assert [viewer.layers[name].data.shape for name in covers] == [whole.shape, (41, 31)]
     assert viewer.layers.selection.active is part
+    assert "Measured: shapes “Shapes”" in widget.status.value
+    bars = [layer.colorbar.position for layer in (part, viewer.layers["leaf blur (px)"])]
+    assert bars[0] != bars[1], "names side by side would be wider than a small window"
     assert not shapes.face_color[:, 3].any(), "the fill covers no result"
     finished(widget.tools.add_regions())
     assert viewer.layers["leaf (Shapes) regions"].data.shape == (41, 31)

@@ -75,7 +75,7 @@ class ProbeWidget(Container[Widget]):
         )
         self.outlined = CheckBox(
             name="outlined",
-            text="Outline the window",
+            text="Outline the frame",
             value=True,
             tooltip="Show in the picture what part of it the curve was measured on.",
         )

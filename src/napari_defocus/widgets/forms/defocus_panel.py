@@ -543,6 +543,8 @@ def _summary(
     # What is seen in the picture explains the doubt, too.
     said = ("lens",) if lines else ("doubt", "lens")
     lines += [made[name] for name in said if name in made]
+    if REGION in made:
+        lines.append(f"Measured: {made[REGION]['of']}")
     lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
     share = None if confidence is None else (confidence >= CONFIDENT).mean()
     if share == 0:

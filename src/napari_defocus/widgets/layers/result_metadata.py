@@ -182,7 +182,7 @@ def scale_prefix(scale_name: str) -> str:
 
 def confidence_description(share: float) -> str:
     """Return a line that says on what share of the pixels the confidence is high."""
-    return f"Confidence {CONFIDENT:g} or more on {share:.0%}"
+    return f"Trusted on {share:.0%} (confidence {CONFIDENT:g} or more)"
 
 
 def region_description(plane: Plane) -> dict[str, Any]:
