@@ -140,6 +140,19 @@ def test_restoration_and_depth_use_the_map_that_is_there(viewer, measured, finis
     )
 
 
+def test_restoration_takes_another_map_where_there_is_one(viewer, leaf, measured, finished, method):
+    assert measured.other_map.native.isHidden(), "there is no choice"
+    viewer.add_image(np.full(leaf.data.shape, 1.5, np.float32), name="by hand")
+    measured.reset_choices()
+    assert not measured.other_map.native.isHidden()
+    measured.other_map.value = viewer.layers["by hand"]
+    finished(measured.restore())
+    assert method.restorations[0]["blur_map"].max() == 1.5
+    viewer.layers.remove("by hand")
+    measured.reset_choices()
+    assert measured.other_map.value is None
+
+
 def test_missing_numbers_of_the_lens_are_asked_for(measured, messages):
     measured.pages.show(DEPTH)
     assert measured.estimate_depth() is None

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from magicgui.widgets import PushButton, Widget
+from magicgui.widgets import ComboBox, PushButton, Widget
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
@@ -25,17 +25,24 @@ from napari_defocus.widgets.jobs.large_analysis import is_large
 from napari_defocus.widgets.jobs.map_source import (
     EstimatedSource,
     MapSource,
+    may_be_map_of,
     settings_of_map,
     source_of_layer,
 )
 from napari_defocus.widgets.jobs.restoration import Restoration
-from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.image_layers import Plane, unwrapped
 from napari_defocus.widgets.layers.preferences import end_tour, wants_tour
 from napari_defocus.widgets.layers.result_metadata import BLUR_MAP, layer_of_result
 from napari_defocus.widgets.layers.samples import dandelion
 
 MAP, MASK, RESTORE, DEPTH, MORE = "Map", "In focus", "Restore", "Depth", "More"
 STACK, FILES = "Stack", "Save and open"
+
+
+class MapBox(ComboBox):
+    """The choice of another map; None is the one that is measured here."""
+
+    null_string = "measured here"
 
 
 class DefocusWidget(DefocusPanel):
@@ -49,6 +56,8 @@ class DefocusWidget(DefocusPanel):
         What looks at the results, and what keeps them.
     restoration : RestorationForm
     depth : DepthForm
+    other_map : MapBox
+        Which map these use, where there is a choice.
     restore_button, depth_button : magicgui.widgets.PushButton
     tour : Tour or None
         Shown until it was seen or refused.
@@ -75,7 +84,31 @@ class DefocusWidget(DefocusPanel):
         super().__init__(napari_viewer, blur_map=True, mask=True, action="Measure")
 
     def _fields(self) -> list[Widget]:
-        return [self.image, self.region, self.planes, self.keep_in]
+        self.other_map = MapBox(
+            name="other_map",
+            label="map to use",
+            choices=self._other_maps,
+            nullable=True,
+            tooltip="What “Take the blur away” and “Estimate depth” use: the map that is measured "
+            "here, or an image layer of the same height and width that holds radii in px, such as "
+            "a map that was opened.",
+        )
+        return [self.image, self.region, self.planes, self.other_map, self.keep_in]
+
+    def _other_maps(self, _: Any) -> list[Image]:
+        """Return the layers that may hold a map of the image and were not measured here."""
+        image = self.image.value
+        own = self._found.layers_of(image, self._viewer)
+        return [
+            layer
+            for layer in self._viewer.layers
+            if image is not None and may_be_map_of(layer, image) and unwrapped(layer) not in own
+        ]
+
+    def _offer_other_maps(self) -> None:
+        """Ask for the map only where there is a choice."""
+        self.other_map.reset_choices()
+        self.other_map.visible = len(self.other_map.choices) > 1
 
     def _finish_form(self, fields: list[Widget]) -> None:
         super()._finish_form(fields)
@@ -155,6 +188,7 @@ class DefocusWidget(DefocusPanel):
         self._on_image(self.image.value)
 
     def _on_image(self, layer: Image | None) -> None:
+        self._offer_other_maps()
         has_planes = layer is not None and layer.ndim > 2
         self.planes.visible = has_planes
         self.pages.sections[STACK].setVisible(has_planes)
@@ -166,6 +200,7 @@ class DefocusWidget(DefocusPanel):
         """Look for the viewer's layers again, on all pages."""
         super().reset_choices()
         self.pages.reset_choices()
+        self._offer_other_maps()
         self.tools.refresh()
 
     def _tell(self, _: Any = None) -> None:
@@ -187,6 +222,7 @@ class DefocusWidget(DefocusPanel):
         end_tour()
 
     def _on_shown(self) -> None:
+        self._offer_other_maps()
         self.tools.refresh_probe()
 
     def add_seeds(self) -> Any:
@@ -213,7 +249,12 @@ class DefocusWidget(DefocusPanel):
         return self.restoration.restoration(plane, self._source(plane), noise, linearize)
 
     def _source(self, plane: Plane) -> MapSource:
-        """Return where the map comes from: of a large plane, the one that was measured."""
+        """Return where the map comes from: the chosen layer, or for a large plane its own."""
+        other = self.other_map.value
+        if other is not None:
+            known = settings_of_map(other)
+            psf = self.settings.lens.text() if known is None else known.psf
+            return source_of_layer(other, plane, self._viewer, psf)
         settings = self.settings.map_settings()
         layer = layer_of_result(self._viewer.layers, BLUR_MAP, plane.name, plane.region)
         if is_large(plane) and isinstance(layer, Image) and settings_of_map(layer) == settings:
