@@ -95,15 +95,23 @@ class Session:
         self.wait(0.5)
 
     def defocus(self) -> None:
-        """Choose Layers > Measure > Defocus > Defocus."""
-        self.dock("Defocus")
+        """Choose Layers > Measure > Measure defocus."""
+        self.panel = self.dock("defocus")
 
-    def dock(self, name: str) -> Any:
-        """Open a dock of the plugin, or find the open one."""
-        dock, widget = self.viewer.window.add_plugin_dock_widget("napari-defocus", name)
-        if name == "Defocus":
-            self.panel = widget
-        self.widen(dock)
+    def dock(self, command: str) -> Any:
+        """Choose a command of the plugin in a menu, or find the dock that it has opened."""
+        from napari._app_model import get_app_model
+        from npe2 import PluginManager
+
+        wanted = f"napari-defocus.{command}"
+        manifest = PluginManager.instance().get_manifest("napari-defocus")
+        widgets = manifest.contributions.widgets or ()
+        [name] = [each.display_name for each in widgets if each.command == wanted]
+        docks = self.viewer.window.dock_widgets
+        if f"{name} (Defocus)" not in docks:
+            get_app_model().commands.execute_command(wanted).result()
+        widget = docks[f"{name} (Defocus)"]
+        self.widen(widget.native.parent())
         return widget
 
     def widen(self, dock: Any, width: int = DOCK_WIDTH) -> None:
@@ -329,7 +337,7 @@ def menu() -> None:
     with Session() as session:
         session.sample("dandelion")
         bar = session.window.menuBar()
-        place, names = None, ("Layers", "Measure", "Defocus", "Defocus (Defocus)")
+        place, names = None, ("Layers", "Measure", "Measure defocus (Defocus)")
         level, opened = bar, []
         for name in names:
             action = next(a for a in level.actions() if a.text().replace("&", "") == name)
@@ -423,7 +431,7 @@ def probe() -> None:
         session.measure()
         session.press(session.panel.tools.probe)
         session.wait(0.5)
-        probe = session.dock("Probe")
+        probe = session.dock("probe")
         session.window.resizeDocks([probe.native.parent()], [480], Qt.Vertical)
         session.widen(probe.native.parent(), 560)
         session.look_at(180, 165, 1.0)
@@ -480,7 +488,7 @@ def curve() -> None:
         session.panel.planes.value = "all"
         session.measure()
         session.press(session.panel.tools.curve)
-        curve = session.dock("Focus curve")
+        curve = session.dock("focus_curve")
         session.until(lambda: curve.curve is not None and curve._running is None)
         session.show_only("gravel")
         session.home()
@@ -597,7 +605,8 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # Without the Preferences of whoever runs this.
+    # Without the Preferences of whoever runs this, and without the tour.
     with tempfile.TemporaryDirectory() as folder:
         os.environ["NAPARI_CONFIG"] = str(Path(folder, "settings.yaml"))
+        Path(folder, "napari-defocus.yaml").write_text("tour:\n  shown: false\n")
         main()

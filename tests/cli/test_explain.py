@@ -37,7 +37,7 @@ def test_plain_lines_tell_the_value_the_candidates_and_the_window(picture):
     assert result.exit_code == 0, result.output
     assert "pixel        row 40, column 44" in result.stdout
     assert "window       rows 2" in result.stdout
-    assert "blur         4.0 px, confidence 0." in result.stdout
+    assert "blur         The blur is 4.0 px, with a confidence of 0." in result.stdout
     assert names_in(picture.parent) == ["p.png"], "nothing is written unasked"
 
 

@@ -64,13 +64,19 @@ def test_curve_candidates_and_map_are_those_of_the_pixel(candidates, maps):
 def test_what_is_not_given_is_not_told(candidates):
     told = explain_pixel(candidates, 61, 58)
     assert told.blur is told.confidence is told.own_log_likelihood is told.own_window is None
-    assert str(told).startswith("candidate")
+    assert str(told).startswith(f"The likeliest blur is {told.best:.1f} px.")
 
 
-def test_text_starts_with_the_value_the_confidence_and_the_candidates(candidates, maps):
+def test_text_starts_with_the_value_and_the_confidence(candidates, maps):
     told = explain_pixel(candidates, 61, 58, **maps)
-    assert f"{told.blur:.1f} px, confidence {told.confidence:.2f}; candidate" in str(told)
-    assert f" {told.radii[0]:.1f}" in str(told)
+    sure = f"{told.confidence:.2f}"
+    assert str(told).startswith(f"The blur is {told.blur:.1f} px, with a confidence of {sure}")
+
+
+def test_low_confidence_has_a_reason(candidates, maps):
+    told = replace(explain_pixel(candidates, 61, 58, **maps), confidence=0.499)
+    assert "0.49 (not trusted)" in told.summary()
+    assert told.remarks()
 
 
 def test_window_is_around_the_pixel_and_moved_inside_at_the_border(candidates):
@@ -121,37 +127,43 @@ def test_pixel_beside_sharper_things_is_asked_farther_away_from_them(halves, of_
     assert told.best == pytest.approx(5, abs=0.5)
     assert told.own_window[1] > told.window[1] + 4
     column = (told.own_window[1] + told.own_window[3]) / 2
-    assert f"column {column:.0f} is asked instead: {told.best:.1f} px" in str(told)
+    assert f"column {column:.0f} was asked: its answer is {told.best:.1f} px" in str(told)
 
 
 def test_place_without_texture_is_said_to_be_carried_in():
     candidates = estimate_candidates(np.full((80, 80), 0.5), noise_variance=1e-5)
     told = explain_pixel(candidates, 40, 40, blur_map=np.full((80, 80), 3.0))
     assert told.extrapolated
-    assert "No texture" in str(told)
-    assert "extrapolated" in str(told)
-    assert "departs" not in str(told)
-    assert "extrapolated" not in str(explain_pixel(candidates, 40, 40))
+    assert "too little texture" in str(told)
+    assert "from the surroundings" in str(told)
+    assert "does not follow" not in str(told)
+    assert "surroundings" not in str(explain_pixel(candidates, 40, 40))
 
 
 def test_map_that_follows_its_neighbours_is_told(candidates):
     told = explain_pixel(candidates, 61, 58, blur_map=np.full((120, 120), 1.5))
-    assert "departs from the likeliest" in str(told)
+    assert "The map does not follow it" in str(told)
     agrees = explain_pixel(candidates, 61, 58, blur_map=np.full((120, 120), told.best + 0.4))
-    assert "departs" not in str(agrees)
+    assert "does not follow" not in str(agrees)
 
 
 @pytest.mark.parametrize(("below", "nearly"), [(0.5, True), (3.0, False)])
 def test_second_candidate_is_told_if_it_is_nearly_as_likely(candidates, below, nearly):
     told = explain_pixel(candidates, 61, 58)
     two = replace(told, radii=np.array([4.0, 6.2]), heights=np.array([0.0, -below]))
-    assert ("6.2 px is nearly as likely as 4.0 px: 0.61 times" in str(two)) == nearly
+    assert ("The next best answer, 6.2 px, is 0.61 times as likely" in str(two)) == nearly
+
+
+def test_broad_curve_is_told(candidates):
+    told = explain_pixel(candidates, 61, 58)
+    broad = replace(told, log_likelihood=np.where(np.abs(told.scales - 4) <= 2.01, -0.5, -9.0))
+    assert "All answers from 2.0 to 6.0 px are nearly as likely" in str(broad)
 
 
 def test_largest_radius_that_was_looked_for_may_be_more(candidates):
     full = np.full((120, 120), 8.0)
-    assert "it may be more" in str(explain_pixel(candidates, 61, 58, blur_map=full))
-    assert "it may be more" not in str(explain_pixel(candidates, 61, 58, blur_map=full - 1))
+    assert "it may be wider" in str(explain_pixel(candidates, 61, 58, blur_map=full))
+    assert "it may be wider" not in str(explain_pixel(candidates, 61, 58, blur_map=full - 1))
 
 
 def test_value_that_a_map_does_not_have_is_not_told(candidates):

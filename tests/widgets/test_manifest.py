@@ -37,13 +37,21 @@ def test_every_command_can_be_imported(command):
     assert callable(import_python_name(command.python_name))
 
 
-def test_every_widget_is_in_the_plugins_menu_and_in_the_layers_menu():
-    widgets = {widget.command for widget in CONTRIBUTIONS.widgets}
-    submenu = CONTRIBUTIONS.submenus[0]
-    assert submenu.label == "Defocus"
-    assert {item.command for item in CONTRIBUTIONS.menus[submenu.id]} == widgets
-    for menu in ("napari/layers/measure", "napari/layers/segment"):
-        assert [item.submenu for item in CONTRIBUTIONS.menus[menu]] == [submenu.id]
+def test_menus_name_one_way_in_first_and_the_single_steps_once_in_one_order():
+    widgets = [widget.command for widget in CONTRIBUTIONS.widgets]
+    assert CONTRIBUTIONS.widgets[0].display_name == "Measure defocus"
+    [submenu] = CONTRIBUTIONS.submenus
+    assert [item.command for item in CONTRIBUTIONS.menus[submenu.id]] == widgets[1:]
+    first, second = CONTRIBUTIONS.menus["napari/layers/measure"]
+    assert (first.command, second.submenu) == (widgets[0], submenu.id)
+    [alone] = CONTRIBUTIONS.menus["napari/layers/segment"]
+    assert alone.command == widgets[0]
+
+
+def test_commands_and_widgets_have_the_same_names():
+    title_of = {command.id: command.title for command in CONTRIBUTIONS.commands}
+    for widget in CONTRIBUTIONS.widgets:
+        assert title_of[widget.command] == widget.display_name
 
 
 def test_napari_s_own_writer_stays_the_first_for_images(npe2pm):

@@ -131,7 +131,7 @@ from qtpy.QtWidgets import QApplication
 
 viewer = napari.Viewer(show=False)
 viewer.add_image(np.random.default_rng(0).random((520, 520), np.float32))
-dock, widget = viewer.window.add_plugin_dock_widget("napari-defocus", "Defocus")
+dock, widget = viewer.window.add_plugin_dock_widget("napari-defocus", "Measure defocus")
 run = widget.run()
 steps = []
 run.progressed.connect(lambda step, done: steps.append(step))

@@ -18,6 +18,7 @@ from napari_defocus.labeling.data_term import EXTRAPOLATED
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates, check_place
 from napari_defocus.likelihood.evidence import evidence_share
 from napari_defocus.likelihood.own_side import asked_windows
+from napari_defocus.settings import CONFIDENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +30,7 @@ FLOOR = -20.0
 """How far below its maximum log p(r) is drawn: 2e-9 times as likely."""
 
 _NEARLY = 1.0
-"""Maxima that differ by less, in log p(r), are nearly as likely: by a factor of 2.7."""
+"""Answers that differ by less, in log p(r), are nearly as likely: by a factor of 2.7."""
 
 _NEIGHBORS = 32
 """px around a place whose windows are looked at: averaged curves reach no farther."""
@@ -111,51 +112,70 @@ class PixelExplanation:
         return "\n".join([self.summary(), *self.remarks()])
 
     def summary(self) -> str:
-        """Return the map's value, its confidence and the candidates, as far as they are known."""
-        parts = []
+        """Return the map's value and its confidence, or the likeliest blur if there is no map."""
         if self.blur is not None:
-            sure = "" if self.confidence is None else f", confidence {self.confidence:.2f}"
-            parts.append(f"{_px(self.blur)} px{sure}")
-        if len(self.radii):
-            known = ", ".join(_px(radius) for radius in self.radii)
-            parts.append(f"candidate{'s' * (len(self.radii) > 1)} {known} px")
-        else:
-            parts.append("no candidates")
-        return "; ".join(parts)
+            sure = "" if self.confidence is None else f", with a confidence of {self._sure()}"
+            return f"The blur is {_px(self.blur)} px{sure}."
+        if self.best is None:
+            return "Nothing here tells the blur."
+        return f"The likeliest blur is {_px(self.best)} px."
+
+    def _sure(self) -> str:
+        """Return the confidence, never rounded up to one that is trusted."""
+        assert self.confidence is not None
+        if self.confidence >= CONFIDENT:
+            return f"{self.confidence:.2f}"
+        return f"{math.floor(100 * self.confidence) / 100:.2f} (not trusted)"
 
     def remarks(self) -> list[str]:
         """Return what is to be said about the curve and the map, a sentence or two each."""
-        return [*self._on_evidence(), *self._on_map()]
+        told = [*self._on_evidence(), *self._on_map()]
+        if not told and self.confidence is not None and self.confidence < CONFIDENT:
+            told.append("Where pictures looked like this in tests, maps were often wrong.")
+        return told
 
     def _on_evidence(self) -> Iterator[str]:
         if self.extrapolated:
-            carried = "" if self.blur is None else " The map was extrapolated from around."
-            yield f"No texture: the curve here and around is flat and tells no blur.{carried}"
+            yield "There is too little texture here to tell the blur."
+            if self.blur is not None:
+                yield "The map has its value from the surroundings."
             return
         if self.own_window is not None:
             top, left, bottom, right = self.own_window
             yield (
-                "The fine details of this window lie beside the pixel, on the other side of an "
-                f"edge. The window around row {(top + bottom) / 2:.0f}, column "
-                f"{(left + right) / 2:.0f} is asked instead: {_px(self.best)} px."
+                "The fine details in this frame lie on the other side of an edge. So the frame "
+                f"around row {(top + bottom) / 2:.0f}, column {(left + right) / 2:.0f} was asked: "
+                f"its answer is {_px(self.best)} px."
             )
             return
+        yield from self._on_other_answers()
+
+    def _on_other_answers(self) -> Iterator[str]:
         for radius, height in zip(self.radii[1:], self.heights[1:], strict=True):
             below = self.heights[0] - height
             if below < _NEARLY and abs(radius - self.radii[0]) > _tolerance(radius):
                 yield (
-                    f"{_px(radius)} px is nearly as likely as {_px(self.radii[0])} px: "
-                    f"{math.exp(-below):.2f} times."
+                    f"The next best answer, {_px(radius)} px, is {math.exp(-below):.2f} times as "
+                    f"likely as the best one, {_px(self.radii[0])} px."
                 )
+                return
+        nearly = self.scales[self.log_likelihood > -_NEARLY]
+        if nearly.size and np.ptp(nearly) > 2 * _tolerance(nearly.mean()):
+            yield (
+                f"All answers from {_px(nearly[0])} to {_px(nearly[-1])} px are nearly as likely."
+            )
 
     def _on_map(self) -> Iterator[str]:
         if self.blur is None:
             return
         best = self.best
         if best is not None and not self.extrapolated and abs(self.blur - best) > _tolerance(best):
-            yield f"The map departs from the likeliest, {_px(best)} px, because of its neighbours."
+            yield (
+                f"The likeliest answer here is {_px(best)} px. The map does not follow it, as the "
+                "neighbours say something else."
+            )
         if self.blur > self.scales[-2]:
-            yield f"{_px(self.scales[-1])} px is the most that was looked for: it may be more."
+            yield f"No blur beyond {_px(self.scales[-1])} px was looked for: it may be wider."
 
 
 def explain_pixel(

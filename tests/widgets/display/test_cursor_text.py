@@ -30,7 +30,7 @@ def results_on(layer, viewer, radius=RADIUS, sure=SURE, mask=1, cover=None, **se
     results = [blur_map_layer(plane, np.full(plane.shape, radius), made, 3e-5), confidence]
     if mask is not None:
         mask = np.full(plane.shape, mask, np.uint8)
-        results.append(in_focus_layer(plane, mask, MaskSettings(), made, 3e-5))
+        results.append(in_focus_layer(plane, mask, MaskSettings(threshold=4.0), made, 3e-5))
     if cover is not None:
         results.append(not_trusted_layer(confidence, cover))
     return results
@@ -59,8 +59,8 @@ def test_nothing_is_told_that_is_not_known(viewer, leaf, texture):
     layers = add_results(viewer, results_on(leaf, viewer, mask=0))
     viewer.layers.selection.active = leaf
     for layer, told in (
-        (None, "3.2 px, confidence 0.94, blurred"),
-        (layers[1], "3.2 px, blurred"),
+        (None, "3.2 px, confidence 0.94, blurred like its surroundings"),
+        (layers[1], "3.2 px, blurred like its surroundings"),
         (layers[0], "blurred"),
         (layers[2], ""),
     ):
@@ -86,7 +86,9 @@ def test_nothing_is_told_beside_the_picture_and_without_a_value(viewer, leaf):
 
 def test_low_confidence_is_not_trusted(viewer, leaf):
     add_results(viewer, results_on(leaf, viewer, sure=0.31))
-    assert moved_to(viewer, 3, 4).endswith("3.2 px, confidence 0.31 (not trusted), in focus")
+    assert moved_to(viewer, 3, 4).endswith(
+        "3.2 px, confidence 0.31 (not trusted: see “Why here?”), in focus"
+    )
 
 
 @pytest.mark.parametrize(("cover", "trusted"), [(0.25, True), (0.4, False), (0.0, False)])
@@ -112,7 +114,7 @@ def test_each_of_several_results_tells_its_own_run_and_the_picture_the_newest(vi
     )
     for layers, told in (
         (old, "3.2 px, confidence 0.94, in focus"),
-        ([*new, leaf], "1.0 px, confidence 0.70, blurred"),
+        ([*new, leaf], "1.0 px, confidence 0.70, blurred like its surroundings"),
     ):
         for layer in layers:
             viewer.layers.selection.active = layer

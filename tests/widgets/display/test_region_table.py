@@ -51,6 +51,7 @@ def test_regions_lie_on_the_picture_with_their_numbers(viewer, image, messages):
     np.testing.assert_array_equal(layer.translate, image.translate)
     assert layer.units == image.units
     assert layer.features["area_px"].tolist() == [96 * 128 - 1300, 900, 400]
+    assert "index" not in layer.features, "napari numbers the rows"
     assert layer.features["area_um2"].tolist()[1:] == [900 / 8, 400 / 8]
     assert layer.features["blur_median_px"].tolist() == [5.0, 1.0, 1.0]
     assert layer.features["confidence_mean"].tolist() == pytest.approx([0.5, 0.1, 0.1])
@@ -91,7 +92,7 @@ def test_without_a_mask_the_message_says_what_to_run(viewer, image, messages):
     assert add_regions(viewer, image) is None
     [told] = messages()
     assert "“photo” has no in-focus mask" in told
-    assert "run “In focus”" in told
+    assert "Press “Measure”" in told
     assert len(viewer.layers) == 1
 
 

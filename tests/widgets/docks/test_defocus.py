@@ -2,6 +2,7 @@
 
 import json
 import runpy
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,12 +10,13 @@ from imageio.v3 import imwrite
 from magicgui.widgets import PushButton
 from napari.settings import get_plugin_settings
 from npe2 import PluginManifest
+from qtpy.QtCore import QPoint, Qt
 from qtpy.QtWidgets import QApplication
 
 import napari_defocus
 from napari_defocus import Settings, ThinLens, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
-from napari_defocus.widgets.docks.defocus import DEPTH, MASK, MORE, DefocusWidget
+from napari_defocus.widgets.docks.defocus import DEPTH, MASK, MORE, STACK, DefocusWidget
 from napari_defocus.widgets.layers.preferences import PLUGIN
 
 pytestmark = pytest.mark.display
@@ -61,6 +63,44 @@ def test_what_is_done_no_more_is_not_said(measured, finished):
     assert measured.status.value == "Nothing is in focus."
 
 
+def test_nothing_is_said_of_results_and_pictures_that_are_gone(viewer, measured):
+    for layer in list(viewer.layers)[1:]:
+        viewer.layers.remove(layer)
+    assert "were removed" in measured.status.value
+    measured.settings.threshold.value = 3.0
+    assert names(viewer) == ["leaf"], "a slider does not bring them back"
+    viewer.layers.clear()
+    assert measured.status.value.startswith("Open a picture")
+
+
+def test_what_was_said_of_a_layer_goes_with_it(viewer, measured, finished):
+    finished(measured.tools.add_regions())
+    viewer.layers.remove("leaf regions")
+    assert "Noise variance" in measured.status.value
+
+
+def test_each_picture_has_its_own_words(viewer, measured, texture):
+    viewer.add_image(texture[::-1], name="other")
+    measured.reset_choices()
+    measured.image.value = viewer.layers["other"]
+    assert "how blurred is “other”" in measured.status.value
+    measured.image.value = viewer.layers["leaf"]
+    assert "Noise variance" in measured.status.value
+
+
+def test_a_single_picture_after_a_stack_has_no_planes(viewer, opened, finish, method, texture):
+    viewer.add_image(np.stack([texture] * 3), name="stack")
+    widget = opened(DefocusWidget)
+    widget.planes.value = "all"
+    assert "all 3 planes" in widget.status.value
+    viewer.add_image(texture, name="leaf")
+    widget.reset_choices()
+    widget.image.value = viewer.layers["leaf"]
+    finish(widget)
+    assert "plane" not in widget.status.value
+    assert viewer.layers["leaf blur (px)"].data.shape == texture.shape
+
+
 def test_every_button_explains_itself(opened):
     tools = opened(DefocusWidget).tools
     for button in vars(tools).values():
@@ -100,6 +140,19 @@ def test_restoration_and_depth_use_the_map_that_is_there(viewer, measured, finis
     )
 
 
+def test_restoration_takes_another_map_where_there_is_one(viewer, leaf, measured, finished, method):
+    assert measured.other_map.native.isHidden(), "there is no choice"
+    viewer.add_image(np.full(leaf.data.shape, 1.5, np.float32), name="by hand")
+    measured.reset_choices()
+    assert not measured.other_map.native.isHidden()
+    measured.other_map.value = viewer.layers["by hand"]
+    finished(measured.restore())
+    assert method.restorations[0]["blur_map"].max() == 1.5
+    viewer.layers.remove("by hand")
+    measured.reset_choices()
+    assert measured.other_map.value is None
+
+
 def test_missing_numbers_of_the_lens_are_asked_for(measured, messages):
     measured.pages.show(DEPTH)
     assert measured.estimate_depth() is None
@@ -108,11 +161,41 @@ def test_missing_numbers_of_the_lens_are_asked_for(measured, messages):
 
 def test_new_seeds_are_ready_to_paint(viewer, measured):
     measured.add_seeds()
-    tabs = measured.pages.native
-    assert tabs.tabText(tabs.currentIndex()) == MASK
+    assert measured.pages.sections[MASK].is_open
     seeds = viewer.layers.selection.active
     assert (seeds.name, seeds.mode) == ("leaf seeds", "paint")
     assert measured.seeds.value == seeds
+
+
+def test_picture_is_seen_through_its_map_while_seeds_are_painted(viewer, measured, finish):
+    blur_map, veil = viewer.layers["leaf blur (px)"], viewer.layers["leaf not trusted"]
+    blur_map.opacity = 0.9
+    before = veil.opacity
+    seeds = measured.add_seeds()
+    assert (blur_map.opacity, veil.opacity) == (0.45, before / 2)
+    seeds.mode = "pan_zoom"
+    assert (blur_map.opacity, veil.opacity) == (0.9, before)
+    seeds.mode = "paint"
+    finish(measured)
+    assert blur_map.opacity == 0.45, "results that are renewed are seen through, too"
+    viewer.layers.selection.active = blur_map
+    assert (blur_map.opacity, veil.opacity) == (0.9, before)
+
+
+def test_opacity_that_is_chosen_while_painting_stays(viewer, measured):
+    blur_map = viewer.layers["leaf blur (px)"]
+    seeds = measured.add_seeds()
+    blur_map.opacity = 0.2
+    seeds.mode = "pan_zoom"
+    assert blur_map.opacity == 0.2
+
+
+def test_seeds_lie_above_a_map_that_comes_after_them(viewer, leaf, opened, finish, method):
+    widget = opened(DefocusWidget)
+    seeds = widget.add_seeds()
+    finish(widget)
+    assert viewer.layers[-1] is seeds
+    assert viewer.layers.selection.active is seeds
 
 
 def test_earlier_results_stay_if_that_is_wanted(viewer, measured, finish, method):
@@ -157,6 +240,13 @@ def test_nothing_to_be_known_is_said(viewer, measured, finish, method, monkeypat
     assert "Nothing can be known here" in measured.status.value
 
 
+def test_a_picture_that_tells_little_is_said_to_be_one(viewer, opened, finish, method):
+    viewer.add_image(np.full((90, 100), 7, np.uint8), name="wall")
+    widget = opened(DefocusWidget)
+    finish(widget)
+    assert widget.status.value.startswith("All pixels have the same value")
+
+
 def test_a_run_on_all_planes_gives_stacks_and_then_one_plane_is_renewed(
     viewer, opened, finish, method, texture, qtbot
 ):
@@ -181,13 +271,30 @@ def test_a_run_on_all_planes_gives_stacks_and_then_one_plane_is_renewed(
     assert tuple(maps.scale) == (5, 1, 1)
 
 
-def test_part_of_the_picture_is_measured_where_it_lies(viewer, leaf, opened, finish, method):
+def test_part_of_the_picture_is_measured_where_it_lies_and_beside_the_whole(
+    viewer, leaf, opened, finish, finished, method
+):
     shapes = viewer.add_shapes([np.array([[20, 30], [20, 120], [100, 120], [100, 30]])])
     widget = opened(DefocusWidget)
-    widget.region.value = shapes
     finish(widget)
-    assert method.estimations[0]["image"].shape == (41, 31)
-    assert tuple(viewer.layers["leaf blur (px)"].translate) == (20, 30)
+    whole = viewer.layers["leaf blur (px)"].data.copy()
+    widget.region.value = shapes
+    method.radius = 1.0
+    finish(widget)
+    assert method.estimations[1]["image"].shape == (41, 31)
+    part = viewer.layers["leaf (Shapes) blur (px)"]
+    assert tuple(part.translate) == (20, 30)
+    assert part.data.max() == 1.0
+    np.testing.assert_array_equal(viewer.layers["leaf blur (px)"].data, whole)
+    covers = "leaf not trusted", "leaf (Shapes) not trusted"
+    assert [viewer.layers[name].data.shape for name in covers] == [whole.shape, (41, 31)]
+    assert viewer.layers.selection.active is part
+    assert "Measured: shapes “Shapes”" in widget.status.value
+    bars = [layer.colorbar.position for layer in (part, viewer.layers["leaf blur (px)"])]
+    assert bars[0] != bars[1], "names side by side would be wider than a small window"
+    assert not shapes.face_color[:, 3].any(), "the fill covers no result"
+    finished(widget.tools.add_regions())
+    assert viewer.layers["leaf (Shapes) regions"].data.shape == (41, 31)
 
 
 def test_settings_are_saved_and_loaded(viewer, measured, opened, tmp_path, messages):
@@ -299,10 +406,12 @@ def test_relief_and_the_way_back(viewer, measured, finished):
     finished(measured.tools.toggle_3d())
     assert viewer.dims.ndisplay == 3
     assert measured.tools.relief.text == "Back to 2-D"
+    assert "Turn the relief" in measured.status.value
     assert measured.tools.toggle_3d() is None
     assert viewer.dims.ndisplay == 2
     assert [layer.visible for layer in viewer.layers] == visible
     assert measured.tools.relief.text == "Show in 3-D"
+    assert "Turn the relief" not in measured.status.value
 
 
 def test_copied_script_gives_the_same_map_and_mask_bit_for_bit(
@@ -331,14 +440,44 @@ def test_copied_script_gives_the_same_map_and_mask_bit_for_bit(
     assert 0.2 < found["in_focus"].mean() < 0.8
 
 
-def test_pages_have_what_they_say(opened):
+def test_sections_open_and_close_and_that_of_stacks_is_there_for_stacks(viewer, opened, texture):
     widget = opened(DefocusWidget)
-    tabs = widget.pages.native
-    assert [tabs.tabText(n) for n in range(tabs.count())] == [
-        *("Map", "In focus", "Restore", "Depth", "More")
+    sections = widget.pages.sections
+    assert list(sections) == [
+        *("Map", "In focus", "Restore", "Depth", "Stack", "Save and open", "More")
     ]
-    widget.pages.show(MORE)
-    assert tabs.tabText(tabs.currentIndex()) == MORE
+    assert [title for title in sections if sections[title].is_open] == [MASK]
+    sections[MORE].heading.click()
+    assert not sections[MORE].form.isHidden()
+    sections[MORE].heading.click()
+    assert sections[MORE].form.isHidden()
+    assert sections[STACK].isHidden()
+    viewer.add_image(np.stack([texture] * 3), name="stack")
+    widget.reset_choices()
+    assert not sections[STACK].isHidden()
+
+
+def test_everything_is_reached_by_the_tab_key_from_top_to_bottom_and_has_a_name(opened):
+    widget = opened(DefocusWidget)
+    native = widget.native
+    for section in widget.pages.sections.values():
+        section.open()
+    native.show()
+    reached, stop = [], widget.image.native
+    while stop not in reached:
+        if stop.focusPolicy() & Qt.TabFocus and stop.isVisibleTo(native):
+            reached.append(stop)
+            assert stop.accessibleName(), stop
+        stop = stop.nextInFocusChain()
+    content = widget.pages.native.widget()
+    tops = [s.mapTo(content, QPoint(0, 0)).y() for s in reached if content.isAncestorOf(s)]
+    assert len(tops) > 40
+    assert all(below > above - 10 for above, below in pairwise(tops)), "fields of a row are level"
+    bottom = [widget.tools.probe.native, widget.tools.relief.native]
+    assert reached[-2:] == bottom
+    buttons = [widget.run_button, widget.seeds_button, widget.restore_button, widget.depth_button]
+    assert {button.native for button in buttons} <= set(reached)
+    assert [stop.accessibleName() for stop in reached].count("in focus up to (px)") == 3
 
 
 def test_probe_and_focus_curve_open_beside_it(window, docked, finish, method, texture, qtbot):
@@ -353,5 +492,6 @@ def test_probe_and_focus_curve_open_beside_it(window, docked, finish, method, te
     widget.settings.threshold.value = 3.0
     qtbot.waitUntil(lambda: bool(explained))
     docks = list(window.window.dock_widgets)
-    assert any("Probe" in name for name in docks)
-    assert any("Focus curve" in name for name in docks)
+    assert {"Why here? (Defocus)", "Focus curve (Defocus)"} <= set(docks), "as from the menus"
+    widget.tools.open_probe()
+    assert list(window.window.dock_widgets) == docks, "no second one"

@@ -275,6 +275,20 @@ def test_click_pins_and_another_one_moves_the_pin(viewer, beside, qtbot):
 
 
 @pytest.mark.display
+def test_brush_rests_when_the_probe_comes_so_that_a_click_pins_and_paints_nothing(
+    viewer, beside, qtbot
+):
+    beside.stop()
+    seeds = viewer.add_labels(np.zeros((SIDE, SIDE), np.uint8))
+    seeds.mode = "paint"
+    beside.start()
+    assert seeds.mode == "pan_zoom"
+    assert viewer.layers.selection.active is viewer.layers["stones"]
+    click(viewer, (30, 40))
+    assert not beside.follow.value, "pinned"
+
+
+@pytest.mark.display
 def test_drag_and_brush_do_not_pin(viewer, beside):
     click(viewer, (30, 40), drag=30)
     assert beside.follow.value
@@ -320,7 +334,7 @@ def test_unknown_place_empties_the_drawing_and_says_why(viewer, beside, qtbot):
     assert not beside._curve.figure.axes[0].lines
     assert not viewer.layers["probe"].visible
     beside.set_image(viewer.layers["stones"])
-    assert "candidate" in beside.text.value
+    assert "The blur is" in beside.text.value
     assert viewer.layers["probe"].visible
 
 
@@ -358,11 +372,11 @@ def test_slider_is_followed(viewer, qtbot, blurred):
     qtbot.addWidget(widget.native)
     widget.start()
     hover(viewer, (0.0, 30.0, 40.0))
-    qtbot.waitUntil(lambda: "candidate" in widget.text.value)
+    qtbot.waitUntil(lambda: "The blur is" in widget.text.value)
     viewer.dims.set_point(0, 1)
     qtbot.waitUntil(lambda: "plane 0 was" in widget.text.value)
     viewer.dims.set_point(0, 0)
-    qtbot.waitUntil(lambda: "candidate" in widget.text.value)
+    qtbot.waitUntil(lambda: "The blur is" in widget.text.value)
     widget.stop()
     assert not viewer.mouse_move_callbacks
 

@@ -246,7 +246,7 @@ def test_results_of_a_stack_that_do_not_fit_into_memory_are_kept_on_the_disk(
     np.testing.assert_array_equal(values[:3], 2.5)
     assert not np.asarray(confidence.data[3]).any()
     assert mask.data.dtype == np.uint8
-    assert "Confidence 0.5 or more on 50%" in found.summary
+    assert "Trusted on 50% (confidence 0.5 or more)" in found.summary
     assert "Not analysed: plane 3" in found.summary
     one = Analysis(plane=analysis.plane, estimation=MapSettings()).run(JobCache())
     assert [each.name for each in add_results(viewer, one)] == [

@@ -86,7 +86,7 @@ def test_results_say_what_each_plane_had(viewer, stack, brightness):
     assert found.summary.splitlines() == [
         "4 planes",
         "Noise variance 1.0e-05 to 4.0e-05 (found)",
-        "Confidence 0.5 or more on 50%",
+        "Trusted on 50% (confidence 0.5 or more)",
     ]
 
 

@@ -77,6 +77,8 @@ def test_blur_map_has_one_colour_range_and_a_colour_bar(viewer, texture):
     assert tuple(blur_map.contrast_limits) == (0.0, 8.0)
     assert tuple(blur_map.contrast_limits_range) == (0.0, 8.0)
     assert blur_map.colorbar.visible
+    assert blur_map.name_overlay.visible, "several bars are told apart"
+    assert blur_map.name_overlay.position == blur_map.colorbar.position
 
 
 def test_colour_range_of_much_blur_reaches_as_far_as_the_map(viewer, texture):

@@ -1,12 +1,14 @@
 import dask.array as da
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from napari.components import ViewerModel
+from skimage.color import deltaE_ciede2000, rgb2lab
 
 from napari_defocus.widgets.layers.image_layers import shown_plane
-from napari_defocus.widgets.layers.result_layers import MASK_COLOR
+from napari_defocus.widgets.layers.result_layers import COLOR_MAP, MASK_COLOR
 from napari_defocus.widgets.layers.result_metadata import made_by_us
-from napari_defocus.widgets.layers.seeds import SEEDS, add_seeds_layer, shown_seeds
+from napari_defocus.widgets.layers.seeds import BLURRED_COLOR, SEEDS, add_seeds_layer, shown_seeds
 
 PLACED = {
     "scale": (0.5, 0.25),
@@ -114,3 +116,46 @@ def test_seeds_of_another_plane_are_said_in_plain_words(viewer):
     viewer.dims.set_point(0, 1)
     with pytest.raises(ValueError, match="the viewer shows no plane of it"):
         seeds_of(viewer, labels, image)
+
+
+SEEN_AS = {
+    "all colours": np.eye(3),
+    "no red": [
+        (0.152286, 1.052583, -0.204868),
+        (0.114503, 0.786281, 0.099216),
+        (-0.003882, -0.048116, 1.051998),
+    ],
+    "no green": [
+        (0.367322, 0.860646, -0.227968),
+        (0.280085, 0.672501, 0.047413),
+        (-0.011820, 0.042940, 0.968881),
+    ],
+    "no blue": [
+        (1.255528, -0.076749, -0.178779),
+        (-0.078411, 0.930809, 0.147602),
+        (0.004733, 0.691367, 0.303900),
+    ],
+}
+"""Linear light as it is seen: Machado, Oliveira and Fernandes 2009."""
+
+
+def difference(first, second, seen_as):
+    """Return CIEDE2000 between two sRGB colours; 2 is just seen, 10 at a glance."""
+
+    def lab(color):
+        color = np.asarray(color[:3], float)
+        linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+        linear = np.clip(np.asarray(seen_as) @ linear, 0, 1)
+        encoded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+        return rgb2lab(encoded[None, None])
+
+    return float(deltaE_ciede2000(lab(first), lab(second))[0, 0])
+
+
+@pytest.mark.parametrize("seen_as", SEEN_AS.values(), ids=SEEN_AS)
+def test_in_focus_and_blurred_are_told_apart_on_the_map_whatever_colours_one_sees(seen_as):
+    assert difference(MASK_COLOR, BLURRED_COLOR, seen_as) > 20
+    for place in np.linspace(0, 1, 9):
+        shown = colormaps[COLOR_MAP](place)
+        assert difference(BLURRED_COLOR, shown, seen_as) > 20
+        assert difference(MASK_COLOR, shown, seen_as) > 10

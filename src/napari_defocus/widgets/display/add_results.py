@@ -29,6 +29,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     STORE,
     made_by_us,
     newest_first,
+    region_of_result,
     results_of,
     run_of,
 )
@@ -145,7 +146,7 @@ def _showing(
         layer = viewer.add_layer(layer)
         if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
-            layer.colorbar.visible = True
+            show_color_bar(layer)
         yield layer
         return
     if _is_plane_of(layer, data, keywords):
@@ -160,6 +161,19 @@ def _showing(
         layer.contrast_limits_range = limits
         layer.contrast_limits = limits
     yield layer
+
+
+def show_color_bar(layer: Layer) -> None:
+    """Show what the colours mean, and the layer's name, with its unit, beside it.
+
+    Maps that are often shown together have their bars in different corners: side by side in one,
+    their names would be wider than small windows.
+    """
+    corner = "top_left" if made_by_us(layer) == DEPTH else "top_right"
+    corner = "bottom_right" if region_of_result(layer) else corner
+    for overlay in (layer.colorbar, layer.name_overlay):
+        overlay.position = corner
+        overlay.visible = True
 
 
 def _can_hold(layer: Layer, keywords: dict[str, Any]) -> bool:

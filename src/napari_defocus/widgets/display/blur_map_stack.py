@@ -23,6 +23,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     PLANES,
     layer_of_result,
     made_by_us,
+    region_of_result,
 )
 
 if TYPE_CHECKING:
@@ -112,7 +113,8 @@ def confidence_of(viewer: ViewerModel, layer: Image) -> Image | None:
 def _made_along_with(viewer: ViewerModel, layer: Image, result: str) -> Any:
     if made_by_us(layer) != BLUR_MAP:
         return None
-    found = layer_of_result(viewer.layers, result, layer.metadata[METADATA_KEY].get("source"))
+    source, region = layer.metadata[METADATA_KEY].get("source"), region_of_result(layer)
+    found = layer_of_result(viewer.layers, result, source, region)
     return found if found is not None and _same_shape(found, layer) else None
 
 

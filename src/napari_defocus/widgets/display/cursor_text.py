@@ -32,6 +32,9 @@ from napari_defocus.widgets.layers.result_metadata import (
 _DESCRIBED = (BLUR_MAP, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
 """Results whose own value, as napari tells it, says nothing more."""
 
+NOT_SURE = "not trusted: see “Why here?”"
+AS_AROUND = "like its surroundings"
+
 _BEFORE_VALUES = " » "
 """What napari puts between coordinates and values if several layers are selected."""
 
@@ -67,7 +70,8 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     str
         Such as "3.2 px, confidence 0.94, in focus". It is empty if nothing is known there, or
         the viewer shows a volume. A confidence below that of the cover, or below `CONFIDENT`
-        if nothing is covered, is "not trusted".
+        if nothing is covered, is "not trusted". A mask that does not say what the map says
+        follows its surroundings, or seeds: that is said, too.
 
     Examples
     --------
@@ -86,7 +90,7 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     at = _Place(viewer, active)
     blur_map, scale = at.found(BLUR_MAP, like=active)
     confidence, sure = at.found(CONFIDENCE, like=blur_map or active)
-    _, mask = at.found(IN_FOCUS)
+    mask_layer, mask = at.found(IN_FOCUS)
     words = []
     if blur_map is not None and scale is not None:
         name = str(blur_map.metadata[METADATA_KEY].get("scale", BLUR_RADIUS))
@@ -94,11 +98,21 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
         # Rounded up, it might read like one that is trusted.
-        shown = f"{sure:.2f}" if trusted else f"{math.floor(100 * sure) / 100:.2f} (not trusted)"
+        shown = f"{sure:.2f}" if trusted else f"{math.floor(100 * sure) / 100:.2f} ({NOT_SURE})"
         words.append(f"confidence {shown}")
-    if mask is not None:
-        words.append("in focus" if mask else "blurred")
+    if mask_layer is not None and mask is not None:
+        words.append(_focus(mask_layer, bool(mask), scale))
     return ", ".join(words)
+
+
+def _focus(mask_layer: Layer, in_focus: bool, scale: float | None) -> str:
+    """Return what a mask says, and that it follows its neighbours where the map says otherwise."""
+    word = "in focus" if in_focus else "blurred"
+    settings = mask_layer.metadata[METADATA_KEY].get("settings")
+    threshold = settings.get("threshold") if isinstance(settings, dict) else None
+    if scale is None or not isinstance(threshold, float):
+        return word
+    return word if in_focus == (scale <= threshold) else f"{word} {AS_AROUND}"
 
 
 def _asked(viewer: ViewerModel) -> Layer | None:

@@ -18,6 +18,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     IN_FOCUS,
     METADATA_KEY,
     STORE,
+    layer_of_result,
     pictures_in,
     results_of,
 )
@@ -29,11 +30,19 @@ _NOT_KEPT = (
     "This picture was measured part by part, and what led to its map was not kept. Measure a "
     "region of it, such as the visible field, to have that explained."
 )
-_OUTSIDE = "This place is outside of what was measured."
+_OUTSIDE = "This place is outside of the picture."
+_OUTSIDE_OF_PART = (
+    "This place is outside of the {part}, which was measured last. To explain it, measure the "
+    "whole picture again."
+)
 
 
 class NothingKnownError(ValueError):
     """Nothing is known at that place; the message says why."""
+
+
+class OutsideError(NothingKnownError):
+    """The place is outside of what was measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +77,12 @@ def probed(
 
     known = _known(viewer, layer, cache)
     image, plane, candidates = unwrapped(layer), known.picture.plane, known.candidates
-    row, column = pixel_at(image, plane.index, candidates.image_shape, position)
+    try:
+        row, column = pixel_at(image, plane.index, candidates.image_shape, position)
+    except OutsideError:
+        if not plane.region:
+            raise
+        raise NothingKnownError(_OUTSIDE_OF_PART.format(part=plane.region)) from None
     found = known.blur_map
     explanation = explain_pixel(
         candidates,
@@ -116,14 +130,14 @@ def pixel_at(
     """
     at = np.asarray(layer.world_to_data(position))
     if not np.isfinite(at).all():
-        raise NothingKnownError(_OUTSIDE)
+        raise OutsideError(_OUTSIDE)
     nearest = np.floor(at + 0.5).astype(int)
     if any(isinstance(i, int) and i != k for i, k in zip(index, nearest, strict=True)):
         measured = ", ".join(str(i) for i in index if isinstance(i, int))
         raise NothingKnownError(f"This plane was not measured; plane {measured} was.")
     row, column = (nearest - corner(index))[picture_axes(index)]
     if not (0 <= row < shape[0] and 0 <= column < shape[1]):
-        raise NothingKnownError(_OUTSIDE)
+        raise OutsideError(_OUTSIDE)
     return int(row), int(column)
 
 
@@ -162,6 +176,18 @@ def image_to_probe(viewer: ViewerModel, cache: JobCache) -> Image | None:
     ordered = sorted(pictures_in(viewer.layers), key=lambda image: image is active)
     known = [image for image in ordered if cache.analysed.latest(unwrapped(image)) is not None]
     return (known or ordered or [None])[-1]
+
+
+def lay_down_tools(viewer: ViewerModel, image: Image | None) -> None:
+    """Let the brush of the active layer rest, and select the map of an image, else the image."""
+    active = viewer.layers.selection.active
+    if active is None or str(active.mode) == "pan_zoom":
+        return
+    active.mode = "pan_zoom"
+    if image is None or image not in viewer.layers:
+        return
+    results = (layer_of_result(viewer.layers, name, image.name) for name in (BLUR_MAP, IN_FOCUS))
+    viewer.layers.selection.active = next((layer for layer in results if layer is not None), image)
 
 
 def may_pin(viewer: ViewerModel) -> bool:

@@ -42,7 +42,7 @@ OPACITY = 0.5
 
 NO_MASK = (
     "“{name}” has no in-focus mask here whose regions could be measured. "
-    "Measure it first, or run “In focus”."
+    "Press “Measure” in the dock “Measure defocus” first."
 )
 TABLE_HINT = "Their table is in the menu Layers > Metadata > Features table widget."
 
@@ -95,11 +95,11 @@ class WantedRegions:
         """Add what was measured to a viewer, or renew it."""
         labels, table, of_mask = measured
         if finest(self.mask_layer).size == self.mask.size:
-            self.mask_layer.features = dict(of_mask.columns)
+            self.mask_layer.features = _features(of_mask)
         made = regions_layer(self.plane, labels, table, self.mask_layer)
         [layer] = add_results(viewer, [made])
         # Those of an earlier run are not updated by `add_results`.
-        layer.features = dict(table.columns)
+        layer.features = _features(table)
         return layer
 
     def description(self, measured: Measured) -> str:
@@ -107,10 +107,15 @@ class WantedRegions:
         return " ".join([_counted(measured[1]), *_missing(self.plane.name, self.maps)])
 
 
-def wanted_regions(viewer: ViewerModel, image: Image) -> WantedRegions | None:
-    """Return what `add_regions` measures; None, and a message, if there is no mask."""
+def wanted_regions(
+    viewer: ViewerModel, image: Image, plane: Plane | None = None
+) -> WantedRegions | None:
+    """Return what `add_regions` measures; None, and a message, if there is no mask.
+
+    With a `plane`, such as a part of the one that is shown, the results of that.
+    """
     try:
-        plane = shown_plane(image, viewer.dims)
+        plane = plane or shown_plane(image, viewer.dims)
     except NotAnalysableError as reason:
         show_warning(f"Cannot measure the regions of “{image.name}”: {reason}")
         return None
@@ -132,20 +137,25 @@ def regions_layer(
 ) -> LayerDataTuple:
     """Return regions in focus as a labels layer that lies on the plane that the mask was made from.
 
-    The table's columns become the features: napari finds the row of a label by ``index``.
+    The table's columns become the features: row n is that of label n.
     """
     settings = mask.metadata[METADATA_KEY].get("settings", {})
     return result_layer(
         *(plane, REGIONS, labels, settings, {"mask": mask.name}),
         kind="labels",
         opacity=OPACITY,
-        features=dict(table.columns),
+        features=_features(table),
     )
+
+
+def _features(table: RegionTable) -> dict[str, Any]:
+    """Return the columns but for the number of the region, which napari writes before each row."""
+    return {name: column for name, column in table.columns.items() if name != "index"}
 
 
 def _shown(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None, Any]:
     """Return the layer of a result of an image, and its values on the plane; None if missing."""
-    layer = layer_of_result(viewer.layers, result, plane.name)
+    layer = layer_of_result(viewer.layers, result, plane.name, plane.region)
     if layer is None:
         return None, None
     data = finest(layer)

@@ -207,7 +207,7 @@ def _relief_of(
 def _map_of(plane: Plane, viewer: ViewerModel, heights: str) -> tuple[Image, Plane]:
     """Return the layer that the heights come from, and its plane that lies on the picture."""
     result, name = (BLUR_MAP, "blur map") if heights == "blur" else (DEPTH, "distances")
-    layer = layer_of_result(viewer.layers, result, plane.name)
+    layer = layer_of_result(viewer.layers, result, plane.name, plane.region)
     if layer is None:
         raise ValueError(f"“{plane.name}” has no {name} yet. Estimate them first.")
     return layer, plane_on(layer, plane, viewer, "relief")

@@ -134,7 +134,7 @@ class CalibrateWidget(RunPanel):
         self._viewer.layers.selection = selected
         made = results[0][1]["metadata"][METADATA_KEY]
         scales = ", ".join(f"{scale:.2f}" for scale in made["scales"])
-        self.status.value = f"Scales {scales} px\nSaved in {Path(made['file']).name}"
+        self.say(f"Scales {scales} px\nSaved in {Path(made['file']).name}")
 
     def _on_closed(self) -> None:
         super()._on_closed()

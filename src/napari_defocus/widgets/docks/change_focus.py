@@ -142,10 +142,10 @@ class ChangeFocusWidget(FromMapPanel):
         layer = self._known_map()
         blur = None if layer is None else value_at(layer, position)
         if blur is None:
-            self.status.value = "No blur is known there. Click somewhere else."
+            self.say("No blur is known there. Click somewhere else.")
             return False
         self.pick.text = PICK
-        self.status.value = f"Focus on what is blurred by {blur:.2f} px"
+        self.say(f"Focus on what is blurred by {blur:.2f} px")
         self.focus.largest = max(self.focus.largest, blur)
         self.focus.value = blur
         return True

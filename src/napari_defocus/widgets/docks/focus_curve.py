@@ -125,7 +125,7 @@ class FocusCurveWidget(RunPanel):
         if asked is None:
             self._follow([])
             self._draw()
-            self.status.value = NO_STACK
+            self.say(NO_STACK)
             return None
         stack, layers = asked
         self._follow(layers)
@@ -189,12 +189,10 @@ class FocusCurveWidget(RunPanel):
         if curve is None:
             return
         if curve.best is None:
-            self.status.value = "Nothing is known of these planes."
+            self.say("Nothing is known of these planes.")
             return
         share, radius = curve.share_in_focus[curve.best], curve.median_radius[curve.best]
-        self.status.value = (
-            f"Sharpest: plane {curve.best[0]}, {share:.0%} in focus, median {radius:.2f} px"
-        )
+        self.say(f"Sharpest: plane {curve.best[0]}, {share:.0%} in focus, median {radius:.2f} px")
 
     def _on_dims(self, _: Any = None) -> None:
         if self._closed or self._shown_curve() is None:
@@ -249,7 +247,7 @@ class FocusCurveWidget(RunPanel):
         except OSError as reason:
             show_error(saving_failure(reason))
         else:
-            self.status.value = f"Saved in {path.name}"
+            self.say(f"Saved in {path.name}")
 
     def _asked_path(self) -> tuple[Path | None, bool]:
         """Ask for a file; also tell whether it may be replaced."""

@@ -14,6 +14,7 @@ from napari_defocus.widgets.display.probing import (
     Probed,
     image_of,
     image_to_probe,
+    lay_down_tools,
     may_pin,
     probed,
 )
@@ -74,7 +75,7 @@ class ProbeWidget(Container[Widget]):
         )
         self.outlined = CheckBox(
             name="outlined",
-            text="Outline the window",
+            text="Outline the frame",
             value=True,
             tooltip="Show in the picture what part of it the curve was measured on.",
         )
@@ -126,10 +127,15 @@ class ProbeWidget(Container[Widget]):
             self._show(found)
 
     def start(self) -> None:
-        """Watch the mouse; done whenever the widget comes into sight."""
+        """Watch the mouse; done whenever the widget comes into sight.
+
+        A brush that is still at work rests from then on, and the map is selected: a click pins a
+        place, and paints nothing.
+        """
         if self._watching:
             return
         self._watching = True
+        lay_down_tools(self._viewer, self.image.value)
         self._viewer.mouse_move_callbacks.append(self._on_move)
         self._viewer.mouse_drag_callbacks.append(self._on_press)
         self._viewer.events.theme.connect(self._on_theme)

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from magicgui.widgets import PushButton
+from magicgui.widgets import Container, PushButton
 from napari.layers import Image
 from napari.utils.notifications import show_error, show_info, show_warning
-from qtpy.QtWidgets import QApplication, QFileDialog, QGridLayout, QWidget
+from qtpy.QtWidgets import QApplication, QFileDialog, QWidget
 
 from napari_defocus import Settings
 from napari_defocus.settings import MaskSettings
@@ -19,7 +19,9 @@ from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
 from napari_defocus.widgets.export.map_files import TIFF_ENDINGS, open_map, save_map, saving_failure
 from napari_defocus.widgets.export.script import script_of
 from napari_defocus.widgets.forms.defocus_panel import DefocusPanel
+from napari_defocus.widgets.forms.tabs import dock_name
 from napari_defocus.widgets.forms.workers import Run
+from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     METADATA_KEY,
@@ -29,7 +31,7 @@ from napari_defocus.widgets.layers.result_metadata import (
 
 T = TypeVar("T")
 
-PROBE, FOCUS_CURVE, SHARPEST_PLANE = "Probe", "Focus curve", "Sharpest plane"
+PROBE, FOCUS_CURVE, SHARPEST_PLANE = "Why here?", "Focus curve", "Sharpest plane"
 FEATURES = "Features table widget"
 
 _IN_3D, _IN_2D = "Show in 3-D", "Back to 2-D"
@@ -45,10 +47,13 @@ class Tools:
 
     Attributes
     ----------
+    row : magicgui.widgets.Container
+        What is always in sight: the probe and 3-D.
     native : QWidget
-        Probe, 3-D, focus curve; map files and the script.
-    probe, relief, curve, sharpest, save_map, open_map, script : magicgui.widgets.PushButton
-        Those in `native`.
+        The row's.
+    probe, relief : magicgui.widgets.PushButton
+        Those in the row.
+    curve, sharpest, save_map, open_map, script : magicgui.widgets.PushButton
     regions, load_settings, save_settings : magicgui.widgets.PushButton
         Those that belong elsewhere in the panel.
     """
@@ -58,21 +63,21 @@ class Tools:
         self._viewer = panel._viewer
         self._probe: weakref.ref[Any] | None = None
         self.probe = _button(
-            "Why here?",
-            "Open the probe: how likely each blur is at the place under the mouse, and what part "
-            "of the picture says so.",
+            PROBE,
+            "Open a dock that explains the map: how likely each blur is at the place under the "
+            "mouse, and what part of the picture says so.",
             self.open_probe,
         )
         self.relief = _button(
             _IN_3D, "Show the picture as a relief of its blur, and go back again.", self.toggle_3d
         )
         self.curve = _button(
-            "Focus curve",
+            FOCUS_CURVE,
             "For stacks that were measured as a whole: how much of each plane is in focus.",
             self.open_focus_curve,
         )
         self.sharpest = _button(
-            "Sharpest plane",
+            SHARPEST_PLANE,
             "For stacks through focus: in which plane each place is in focus, and one picture of "
             "the sharpest pixels.",
             self.open_sharpest_plane,
@@ -101,15 +106,12 @@ class Tools:
             "Save the form as a JSON file, which the terminal reads too.",
             self.save,
         )
-        self.native = _grid(
-            [
-                *(self.probe, self.relief, self.curve, self.sharpest),
-                *(self.save_map, self.open_map, self.script),
-            ]
-        )
+        self.row = side_by_side(self.probe, self.relief)
+        self.native: QWidget = self.row.native
 
     def refresh(self) -> None:
-        """Let the buttons say what they do now."""
+        """Let the buttons and the status say what is so now."""
+        self._panel._tell()
         self.relief.text = _IN_2D if view_state(self._viewer) is not None else _IN_3D
         image = self._panel.image.value
         self.curve.enabled = self.sharpest.enabled = image is not None and image.ndim > 2
@@ -138,12 +140,19 @@ class Tools:
         """Open the widget that compares the planes of a stack."""
         self._opened(SHARPEST_PLANE, SharpestPlaneWidget)
 
-    def _opened(self, name: str, widget_class: Callable[..., Any]) -> Any:
+    def _opened(self, name: str, widget_class: type[Any]) -> Any:
         """Return a widget of ours in a dock, which may be there already."""
         window = getattr(self._viewer, "window", None)
         if window is None:
             return widget_class(self._viewer)
-        dock, widget = window.add_plugin_dock_widget("napari-defocus", name, tabify=True)
+        # However it was opened, its name has another end.
+        there = [each for each in window.dock_widgets.values() if isinstance(each, widget_class)]
+        if there:
+            widget = unwrapped(there[-1])
+            dock = widget.native.parent()
+        else:
+            widget = widget_class(self._viewer)
+            dock = window.add_dock_widget(widget, name=dock_name(name), tabify=True)
         dock.show()
         dock.raise_()  # it may be there already, behind another tab
         return widget
@@ -161,7 +170,6 @@ class Tools:
 
         def show(surface: Any) -> None:
             show_made_relief(self._viewer, image, surface)
-            self._panel.status.value = "Turn the relief with the mouse."
             self.refresh()
 
         return self._quickly(lambda _: make(), show)
@@ -172,13 +180,14 @@ class Tools:
         if image is None:
             show_warning("There is no image to measure. Open an image first.")
             return None
-        wanted = wanted_regions(self._viewer, image)
+        plane = self._panel._asked_for(self._panel.shown_plane)
+        wanted = None if plane is None else wanted_regions(self._viewer, image, plane)
         if wanted is None:
             return None
 
         def show(measured: Any) -> None:
             wanted.show(self._viewer, measured)
-            self._panel.status.value = wanted.description(measured)
+            self._panel.say(wanted.description(measured))
             window = getattr(self._viewer, "window", None)
             if window is not None:
                 window.add_plugin_dock_widget("napari", FEATURES, tabify=True)
@@ -193,7 +202,7 @@ class Tools:
 
         def take(script: str) -> None:
             QApplication.clipboard().setText(script)
-            self._panel.status.value = "The script is on the clipboard."
+            self._panel.say("The script is on the clipboard.")
             of_one = " It does the plane that is shown." if self._panel.planes.all_planes else ""
             show_info(
                 f"A Python script that gives the same map and mask is on the clipboard.{of_one}"
@@ -270,7 +279,7 @@ class Tools:
         except (OSError, ValueError, TypeError) as reason:
             show_error(saving_failure(reason))
         else:
-            self._panel.status.value = description(done)
+            self._panel.say(description(done))
 
     def _asked_to_save(self, suggested: str, kind: str) -> Path | None:
         chosen, _ = QFileDialog.getSaveFileName(self._panel.native, "Save", suggested, kind)
@@ -287,10 +296,8 @@ def _button(text: str, tooltip: str, press: Callable[[], Any]) -> PushButton:
     return button
 
 
-def _grid(buttons: list[PushButton]) -> QWidget:
-    grid = QWidget()
-    layout = QGridLayout(grid)
-    layout.setContentsMargins(0, 0, 0, 0)
-    for place, button in enumerate(buttons):
-        layout.addWidget(button.native, *divmod(place, 2))
-    return grid
+def side_by_side(*buttons: PushButton) -> Container[PushButton]:
+    """Return buttons in a row."""
+    row: Container[PushButton] = Container(widgets=buttons, layout="horizontal", labels=False)
+    row.margins = (0, 0, 0, 0)
+    return row

@@ -28,6 +28,7 @@ from napari_defocus.io.encoders import (
 )
 from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import MapSettings
+from napari_defocus.widgets.display.add_results import show_color_bar
 from napari_defocus.widgets.export.stores import NotAMapError, copy_store, is_stored
 from napari_defocus.widgets.layers.result_layers import COLOR_MAP, CONFIDENCE_COLOR_MAP
 from napari_defocus.widgets.layers.result_metadata import (
@@ -166,7 +167,7 @@ def read_map(path: str | os.PathLike[str]) -> Image:
         metadata={METADATA_KEY: made},
         **{key: placed[key] for key in PLACEMENT if key in placed},
     )
-    layer.colorbar.visible = True
+    show_color_bar(layer)
     return layer
 
 

@@ -1,6 +1,7 @@
 """What the widgets of the map and the mask share: choose an image and a lens, set, run."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,10 @@ from qtpy.QtCore import QTimer
 
 from napari_defocus import PSFEvidence
 from napari_defocus.settings import CONFIDENT
-from napari_defocus.widgets.display.add_results import add_results, add_results_stepwise
+from napari_defocus.widgets.display.add_results import add_results_stepwise
+from napari_defocus.widgets.display.dock_state import DockState, Notice
+from napari_defocus.widgets.display.found_results import FoundResults
+from napari_defocus.widgets.display.see_through import SeeThrough
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.lens_comparison import LensComparison
 from napari_defocus.widgets.forms.live_labels import LiveLabels
@@ -31,11 +35,12 @@ from napari_defocus.widgets.forms.result_fields import (
 from napari_defocus.widgets.forms.settings_form import SettingsForm
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
-from napari_defocus.widgets.jobs.estimation import Analysed
+from napari_defocus.widgets.jobs.estimation import Analysed, Picture
 from napari_defocus.widgets.jobs.large_analysis import LargeAnalysis, is_large
 from napari_defocus.widgets.jobs.shown_labels import ShownLabels
 from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis, may_be_large
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
+from napari_defocus.widgets.layers.picture_signs import signs_of_picture
 from napari_defocus.widgets.layers.preferences import preferred_display, preferred_settings
 from napari_defocus.widgets.layers.result_layers import not_trusted_layer
 from napari_defocus.widgets.layers.result_metadata import (
@@ -43,11 +48,14 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     METADATA_KEY,
     NOT_TRUSTED,
+    REGION,
     Results,
     confidence_description,
     layer_of_result,
     made_by_us,
     noise_description,
+    region_of_result,
+    results_of,
 )
 from napari_defocus.widgets.layers.seeds import Seeds, SeedsWatch, add_seeds_layer, shown_seeds
 
@@ -92,7 +100,8 @@ class DefocusPanel(ImagePanel):
         super().__init__(napari_viewer, action=action)
         self._blur_map = blur_map
         self._mask = mask
-        self._shown = ShownLabels()
+        self._shown, self._found = ShownLabels(), FoundResults()
+        self._notice: Notice | None = None
         self.planes, self.keep_in = PlanesField(), keep_in_field()
         display = preferred_display()
         self._rough: set[Layer] = set()
@@ -135,16 +144,60 @@ class DefocusPanel(ImagePanel):
         self.image.changed.connect(lambda _: self.comparison.forget())
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
         for field in self.settings.weights():
-            field.number.changed.connect(lambda _: self.update_labels(ask=True))
+            field.number.changed.connect(lambda _: self.update_labels())
         self.live.changed.connect(lambda _: self.update_labels())
         # napari may tell of a stroke before it is on the layer.
+        self._see_through = SeeThrough(self._viewer)
         self._seeds_watch = SeedsWatch(lambda: QTimer.singleShot(0, lambda: self._on_stroke()))
         self.seeds.changed.connect(lambda layer: self._on_seeds(layer))
-        self._live_labels = LiveLabels(self.cache, self._show_live, self.native)
+        self._live_labels = LiveLabels(
+            self.cache, self._show_live, self.native, at_rest=lambda: self._tell()
+        )
         for choice in (self.image, self.region, self.planes):
             choice.changed.connect(lambda _: self._show_keep_in())
         self._choose_active()
         self._show_keep_in()
+        self._tell_changes()
+
+    def _tell_changes(self) -> None:
+        """Let the status follow whatever it speaks of."""
+        for field in (self.image, self.planes, *self.settings.all_fields()):
+            field.changed.connect(lambda _: self._tell())
+        for signal in self._viewer_signals():
+            signal.connect(self._tell)
+        self._tell()
+
+    def _viewer_signals(self) -> list[Any]:
+        layers, dims = self._viewer.layers.events, self._viewer.dims.events
+        return [layers.inserted, layers.removed, dims.current_step, dims.ndisplay, dims.order]
+
+    @property
+    def state(self) -> DockState:
+        """What is so, and what the status says of it."""
+        state = self._found.state(
+            self._viewer,
+            self.image.value,
+            self._asked(),
+            all_planes=self.planes.all_planes,
+            updating=self._live_labels.is_busy,
+        )
+        action = str(self.run_button.text)
+        return replace(state, step=self._step, notice=self._notice, action=action)
+
+    def _asked(self) -> Any:
+        """Return what the form asks for; None while somebody is typing."""
+        try:
+            return self.settings.map_settings(), self.settings.mask_settings()
+        except ValueError:
+            return None
+
+    def _text(self) -> str:
+        return self.state.text
+
+    def say(self, text: str) -> None:
+        """Say what was done, as long as what it was done to is there."""
+        self._notice = Notice(text, self.state.situation)
+        self._tell()
 
     def analysis(self) -> Analysis:
         """Return what the form asks for now.
@@ -223,31 +276,26 @@ class DefocusPanel(ImagePanel):
         layer = add_seeds_layer(self._viewer, self.image.value)
         self.reset_choices()
         self.seeds.value = layer
-        self.status.value = "Paint label 1 where it is in focus and 2 where it is blurred."
+        self.say("Paint label 1 where it is in focus and 2 where it is blurred.")
         return layer
 
     def _on_seeds(self, layer: Labels | None) -> None:
         self._seeds_watch.watch(layer)
+        self._see_through.watch(layer)
         self.update_labels()
 
     def _on_stroke(self) -> None:
         if not self._closed:
             self.update_labels()
 
-    def update_labels(self, *, ask: bool = False) -> None:
+    def update_labels(self) -> None:
         """Label again what was measured, if the form asks for other labels than those shown.
 
         Nothing happens while something runs, or if the picture has to be measured first.
-
-        Parameters
-        ----------
-        ask : bool, optional
-            Whether to say so then, if there are results that do not follow.
         """
         if not self.live.value or self._running is not None or self.image.value is None:
             return
-        if self.planes.all_planes:
-            self._ask_to_run(ask)
+        if self.planes.all_planes or not self._found.layers_of(self.image.value, self._viewer):
             return
         try:
             analysis = self.analysis()
@@ -255,18 +303,13 @@ class DefocusPanel(ImagePanel):
             return  # somebody is still typing
         analysed = self.cache.analysed.latest(self.image.value)
         if analysed is None or not analysis.fits(analysed):
-            self._ask_to_run(ask)
             return
         changed = self._shown.changed(analysed, analysis)
         if changed is not None:
-            self.status.value = "Updating"
             self._live_labels.want(analysed, changed)
         elif self._live_labels.is_busy:
             self._live_labels.stop()
-
-    def _ask_to_run(self, ask: bool) -> None:
-        if ask and self._last_word:
-            self.status.value = f"Press “{self.run_button.text}” to apply what was changed."
+        self._tell()
 
     def _show_live(
         self, results: list[LayerDataTuple], analysed: Analysed, analysis: Analysis, whole: bool
@@ -321,10 +364,21 @@ class DefocusPanel(ImagePanel):
     ) -> Iterator[Layer]:
         if not self._still_current():
             return
-        yield from self._showing_below_brush(results.layers, keep_earlier)
+        shown = []
+        for layer in self._showing_below_brush(results.layers, keep_earlier):
+            shown.append(layer)
+            yield layer
         self._on_min_confidence(self.settings.min_confidence.value)
         self._choose_first(results.layers)
-        self._last_word = self.status.value = results.summary
+        self.region.uncover()
+        self._found.note(
+            analysis.plane,
+            results.summary,
+            shown,
+            (analysis.estimation, analysis.mask),
+            all_planes=self.planes.all_planes,
+        )
+        self._tell()
         analysed = self.cache.analysed.latest(self.image.value)
         if analysed is not None and isinstance(analysis, StackAnalysis):
             # The plane that was shown can follow the sliders.
@@ -363,14 +417,17 @@ class DefocusPanel(ImagePanel):
         super().cancel()
 
     def _on_finished(self) -> None:
-        super()._on_finished()
         if not self._closed:
             for layer in self._rough & set(self._viewer.layers):
                 self._viewer.layers.remove(layer)
         self._rough.clear()
+        super()._on_finished()
 
     def _on_closed(self) -> None:
         self._live_labels.stop()
+        self._see_through.end()
+        for signal in self._viewer_signals():
+            signal.disconnect(self._tell)
         super()._on_closed()
 
     def _show_analysis(
@@ -385,6 +442,7 @@ class DefocusPanel(ImagePanel):
             if not whole and layer not in before:
                 self._rough.add(layer)
             yield layer
+        self.region.uncover()
         if whole:
             self._rough.clear()
             self._choose_first(results)
@@ -400,18 +458,24 @@ class DefocusPanel(ImagePanel):
         keep_earlier: bool = False,
     ) -> Iterator[Layer]:
         """Show results step by step; a preview of them has no confidence and is no last word."""
-        yield from self._showing_below_brush(results, keep_earlier)
+        shown = self._found.layers_of(self.image.value, self._viewer)
+        for layer in self._showing_below_brush(results, keep_earlier):
+            shown.append(layer)
+            yield layer
         self._shown.note(analysed, analysis, whole=whole)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
-            self._last_word = _summary(results, self._confidence(results))
-            self.status.value = self._last_word
+            lines = _summary(results, self._confidence(results), analysed.picture)
+            asked = analysis.estimation, analysis.mask or self.settings.mask_settings()
+            plane = analysed.picture.plane
+            self._found.note(plane, lines, shown, asked, all_planes=False)
+            self._tell()
             self._on_shown()
 
     def _confidence(self, results: list[LayerDataTuple]) -> NDArray[np.floating] | None:
         """Return the confidence that is shown of what results are of, if it is."""
-        source = results[0][1]["metadata"][METADATA_KEY]["source"]
-        layer = layer_of_result(self._viewer.layers, CONFIDENCE, source)
+        made = results[0][1]["metadata"][METADATA_KEY]
+        layer = self._shown_result(CONFIDENCE, made)
         if layer is None:
             return None
         # Of a pyramid, the smallest level tells enough, and is read at once.
@@ -432,37 +496,59 @@ class DefocusPanel(ImagePanel):
                 layer.visible = True
             yield layer
         if painted is not None and painted == self.seeds.value:
+            _to_top(self._viewer, painted)
             selection.active = painted
 
     def _choose_first(self, results: list[LayerDataTuple]) -> None:
         """Make the map the active layer, or the mask, unless somebody paints seeds."""
         selection, made = self._viewer.layers.selection, results[0][1]["metadata"][METADATA_KEY]
-        first = layer_of_result(self._viewer.layers, made["result"], made["source"])
+        first = self._shown_result(made["result"], made)
         if first is not None and (selection.active is None or selection.active != self.seeds.value):
             selection.active = first
 
+    def _shown_result(self, result: str, made: dict[str, Any]) -> Layer | None:
+        """Return the newest layer of a result of the same part of the same picture."""
+        region = (made.get(REGION) or {}).get("of", "")
+        return layer_of_result(self._viewer.layers, result, made["source"], region)
+
     def _show_comparison(self, rows: list[tuple[str, PSFEvidence]]) -> None:
         self.comparison.show(rows)
-        self.status.value = "The nearer the evidence is to 0, the better the lens fits."
+        self.say("The nearer the evidence is to 0, the better the lens fits.")
 
     def _on_min_confidence(self, min_confidence: float) -> None:
-        """Cover what is not trusted by the confidence layer of the chosen image, if any."""
-        name = getattr(self.image.value, "name", "")
-        confidence = layer_of_result(self._viewer.layers, CONFIDENCE, name)
-        covered = layer_of_result(self._viewer.layers, NOT_TRUSTED, name)
-        if confidence is None or (covered is None and min_confidence == 0):
-            return
-        cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
-        add_results(self._viewer, [cover])
+        """Cover what is not trusted by the confidence layers of the chosen image and its parts."""
+        layers, name = self._viewer.layers, getattr(self.image.value, "name", "")
+        newest: dict[str, Layer] = {}
+        for confidence in results_of(layers, CONFIDENCE, name):
+            newest.setdefault(region_of_result(confidence), confidence)
+        for region, confidence in newest.items():
+            covered = layer_of_result(layers, NOT_TRUSTED, name, region)
+            if covered is not None or min_confidence > 0:
+                cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
+                for _ in self._showing_below_brush([cover], keep_earlier=False):
+                    pass
 
 
-def _summary(results: list[LayerDataTuple], confidence: NDArray[np.floating] | None) -> str:
+def _to_top(viewer: ViewerModel, layer: Layer) -> None:
+    """Let no other layer lie above one."""
+    if viewer.layers[-1] != layer:
+        viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
+
+
+def _summary(
+    results: list[LayerDataTuple], confidence: NDArray[np.floating] | None, picture: Picture
+) -> str:
     made = results[-1][1]["metadata"][METADATA_KEY]
-    lines = [made[name] for name in ("doubt", "lens") if name in made]
+    lines = signs_of_picture(picture.image)
+    # What is seen in the picture explains the doubt, too.
+    said = ("lens",) if lines else ("doubt", "lens")
+    lines += [made[name] for name in said if name in made]
+    if REGION in made:
+        lines.append(f"Measured: {made[REGION]['of']}")
     lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
-    if confidence is not None:
-        share = (confidence >= CONFIDENT).mean()
+    share = None if confidence is None else (confidence >= CONFIDENT).mean()
+    if share == 0:
+        lines.append("Nothing can be known here: it has no texture that tells of blur.")
+    elif share is not None:
         lines.append(confidence_description(share))
-        if share == 0:
-            lines.append("Nothing can be known here: it has no texture that tells of blur.")
     return "\n".join(lines)

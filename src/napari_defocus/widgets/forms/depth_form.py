@@ -73,7 +73,7 @@ class DepthForm:
         except NotAnalysableError:
             size = None
         try:
-            panel.status.value = self.thin_lens.read(size)
+            panel.say(self.thin_lens.read(size))
         except ValueError as reason:
             show_warning(str(reason))
 

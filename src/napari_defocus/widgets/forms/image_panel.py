@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any, ClassVar, TypeVar
 
+import pint
 from magicgui.widgets import ComboBox
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
@@ -31,6 +32,8 @@ T = TypeVar("T")
 @cache
 def prepare() -> None:
     """Load what the first run needs while its user looks at the form."""
+    # Layers need pint's units, and of two threads that load these at once, one finds none.
+    pint.Unit("pixel")
     threading.Thread(target=prepare_napari, daemon=True).start()
 
 
@@ -128,7 +131,7 @@ class ImagePanel(RunPanel):
         if self._still_current():
             keep = self._keeps_earlier()
             yield from add_results_stepwise(self._viewer, results.layers, keep_earlier=keep)
-            self.status.value = results.summary
+            self.say(results.summary)
 
     def _keeps_earlier(self) -> bool:
         """Tell whether the results of earlier runs stay."""

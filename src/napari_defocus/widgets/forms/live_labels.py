@@ -32,6 +32,8 @@ class LiveLabels(QObject):
         preview is not.
     parent : QObject
         With it, this ends.
+    at_rest : callable, optional
+        Called when nothing is wanted any more, whatever has become of it.
     """
 
     def __init__(
@@ -39,8 +41,10 @@ class LiveLabels(QObject):
         cache: JobCache,
         take: Callable[[list[LayerDataTuple], Analysed, Analysis, bool], None],
         parent: QObject,
+        at_rest: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(parent)
+        self._on_rest = at_rest
         self._cache = cache
         self._take = take
         self._wanted: tuple[Analysed, Analysis] | None = None
@@ -145,6 +149,7 @@ class LiveLabels(QObject):
             self._result = None
             if wish == self._wish:
                 self._wanted = None
+                self._on_rest()
             return
         self._preview = None
         if self._wanted is not None and wish < self._wish:

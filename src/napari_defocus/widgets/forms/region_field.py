@@ -7,7 +7,7 @@ from napari.components import ViewerModel
 from napari.layers import Shapes
 
 from napari_defocus.widgets.layers.image_layers import Plane
-from napari_defocus.widgets.layers.region import Choice, plane_in, region_of
+from napari_defocus.widgets.layers.region import Choice, empty_shapes, plane_in, region_of
 
 
 class RegionField(ComboBox):
@@ -37,6 +37,11 @@ class RegionField(ComboBox):
                 if isinstance(layer, Shapes)
             ),
         ]
+
+    def uncover(self) -> None:
+        """Let the chosen shapes cover nothing of what was measured inside of them."""
+        if isinstance(self.value, Shapes):
+            empty_shapes(self.value)
 
     def part_of(self, plane: Plane) -> Plane:
         """Return the part of the shown plane that is chosen, or the plane itself.

@@ -52,7 +52,7 @@ class RunPanel(Container[Widget]):
         self._running: Run | None = None
         self._planes: Sequence[Plane] = ()
         self._closed = False
-        self._step = self._last_word = ""
+        self._step = self._last_word = self._verdict = ""
         _panels.append(weakref.ref(self))
         self.run_button = PushButton(text=action)
         self.cancel_button = PushButton(text="Cancel", enabled=False)
@@ -88,8 +88,23 @@ class RunPanel(Container[Widget]):
         """Stop what runs; nothing is added to the viewer."""
         if self._running is not None:
             self._running.cancel()
-            self._step = self.status.value = "Cancelling"
-            self._last_word = "Cancelled"
+            self._step, self._verdict = "Cancelling", "Cancelled"
+            self._tell()
+
+    def say(self, text: str) -> None:
+        """Say what was done; while something runs, after it."""
+        self._last_word = text
+        self._tell()
+
+    def _tell(self, _: Any = None) -> None:
+        """Let the status say what is so."""
+        text = "" if self._closed else self._text()
+        if not self._closed and self.status.value != text:
+            self.status.value = text
+
+    def _text(self) -> str:
+        """Return what the status says: what runs, else what was done last."""
+        return self._step or self._last_word
 
     def _start(
         self,
@@ -125,15 +140,15 @@ class RunPanel(Container[Widget]):
         self.cancel_button.enabled = running
         self.progress_bar.native.setValue(0)  # see `_on_progressed`
         self.progress_bar.visible = running
-        if running:
-            self._last_word = self.status.value
-            self._step = self.status.value = "Starting"
+        self._step = "Starting" if running else ""
+        self._tell()
 
     def _on_progressed(self, step: str, done: float) -> None:
         if not self._closed:
             # Its `value` would let Qt handle all events here and now.
             self.progress_bar.native.setValue(round(STEPS * done))
-            self._step = self.status.value = step
+            self._step = step
+            self._tell()
 
     def _on_returned(self, run: Run, take: Callable[[Any], Any], value: Any) -> None:
         if self._closed:
@@ -159,8 +174,8 @@ class RunPanel(Container[Widget]):
 
     def _on_refused(self, reason: str) -> None:
         if not self._closed and self._planes:
-            self._last_word = f"Cannot analyse “{self._planes[0].name}”: {reason}"
-            show_error(self._last_word)
+            self._verdict = f"Cannot analyse “{self._planes[0].name}”: {reason}"
+            show_error(self._verdict)
 
     def _on_finished(self) -> None:
         self._running = None
@@ -168,9 +183,10 @@ class RunPanel(Container[Widget]):
             self._leave()
             return
         self._viewer.layers.events.removed.disconnect(self._on_layer_removed)
-        if self.status.value == self._step:  # what is done no more
-            self.status.value = self._last_word
         self._show_running(False)
+        verdict, self._verdict = self._verdict, ""
+        if verdict:
+            self.say(verdict)
 
     def _on_layer_removed(self, event: Any) -> None:
         if any(plane.layer() in (None, event.value) for plane in self._planes):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from magicgui.widgets import CheckBox, FloatSpinBox, LineEdit, PushButton, Widget
 
@@ -81,6 +82,17 @@ class SettingsForm:
     def fields(self) -> list[Widget]:
         """Return the fields of these settings, from top to bottom."""
         return [*self.lens.fields(), *self.main_fields(), *self.more_fields()]
+
+    def all_fields(self) -> list[Any]:
+        """Return all that `map_settings` and `mask_settings` read, shown or not."""
+        asked: list[Any] = [
+            self.max_radius,
+            self.noise_variance,
+            self.shot_noise,
+            self.camera_softness,
+        ]
+        weights = [field.number for field in self.weights()]
+        return [*self.lens.fields(), *asked, self.linear_light, *weights]
 
     def main_fields(self) -> list[Widget]:
         """Return the fields below the lens' that are always shown."""

@@ -25,4 +25,6 @@ def side_field(value: Side) -> ComboBox:
 
 def side_note() -> Label:
     """Return what there is to know about the choice; `wrap` it in the form."""
-    return Label(name="side_note", label=" ", value=_AMBIGUITY)
+    return Label(
+        name="side_note", label=" ", value="One picture cannot tell on which side: you choose."
+    )

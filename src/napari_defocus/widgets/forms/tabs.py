@@ -5,6 +5,14 @@ from qtpy.QtWidgets import QDockWidget, QMainWindow, QWidget
 
 _OURS = "napari_defocus_dock"
 
+_ENDS = " (Defocus)", " (napari-defocus)"
+"""What napari puts after the name of a dock that its menus open, and one that a script opens."""
+
+
+def dock_name(widget: str) -> str:
+    """Return what napari calls the dock of a widget of ours when its menus open it."""
+    return widget + _ENDS[0]
+
 
 class _Usher(QObject):
     """Waits until a widget is put into a dock, gives that a place before it is shown, and goes."""
@@ -25,6 +33,7 @@ class _Usher(QObject):
 
     def _give_place(self) -> None:
         _join(self.parent())
+        _shorten_title(self.parent())
         self.deleteLater()
 
 
@@ -47,6 +56,16 @@ def _join(native: QWidget) -> None:
         window.tabifyDockWidget(others[-1], dock)
         dock.show()
         dock.raise_()
+
+
+def _shorten_title(native: QWidget) -> None:
+    """Let the tab of a dock say the name of the widget alone: several tabs have little room."""
+    dock = native.parent()
+    if isinstance(dock, QDockWidget):
+        title = dock.windowTitle()
+        for end in _ENDS:
+            title = title.removesuffix(end)
+        dock.setWindowTitle(title)
 
 
 def _is_beside(window: QMainWindow, other: QDockWidget, dock: QDockWidget) -> bool:

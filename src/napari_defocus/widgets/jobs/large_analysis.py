@@ -229,7 +229,7 @@ class LargeAnalysis(Wanted):
             data, keywords, _ = layers[1]
             smallest = data[-1] if keywords.get("multiscale") else data
             share = (np.asarray(smallest) >= CONFIDENT).mean()
-            lines.append(f"Confidence {CONFIDENT:g} or more on about {share:.0%}")
+            lines.append(f"Trusted on about {share:.0%} (confidence {CONFIDENT:g} or more)")
         return "\n".join([*lines, self.place.lifetime_text()])
 
 

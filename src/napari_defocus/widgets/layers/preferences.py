@@ -65,6 +65,20 @@ def preferred_display() -> DisplaySettings:
     return _possible(DisplaySettings(), _explicit().get("display", {}))
 
 
+def wants_tour() -> bool:
+    """Tell whether the tour is to be shown: until it was seen or refused, and never in tests."""
+    return _explicit().get("tour", {}).get("shown", False) is True
+
+
+def end_tour() -> None:
+    """Remember that the tour was seen or refused."""
+    try:
+        get_plugin_settings(PLUGIN).tour.shown = False
+    # There is nothing to remember it in: of a tour, no more is to be said than that.
+    except Exception as error:
+        _warn(error)
+
+
 def _explicit() -> dict[str, dict[str, Any]]:
     """Return what Preferences say, part by part; nothing where napari knows no such plugin."""
     try:

@@ -107,6 +107,15 @@ def region_of(layer: Image, viewer: ViewerModel, choice: Choice) -> Region:
     return Region(rows, columns, _inside(outlines, rows, columns), f"shapes “{shapes.name}”")
 
 
+def empty_shapes(shapes: Shapes) -> None:
+    """Let shapes be outlines: their fill would cover what was measured inside of them."""
+    shapes = unwrapped(shapes)
+    if len(shapes.data) and np.any(np.asarray(shapes.face_color)[:, 3]):
+        shapes.face_color = "transparent"
+        shapes.refresh()
+    shapes.current_face_color = "transparent"
+
+
 def plane_in(plane: Plane, region: Region) -> Plane:
     """Return the part of a whole plane that a region is; the plane itself if it is all of it.
 

@@ -28,7 +28,9 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     NOT_TRUSTED,
     PLACEMENT,
+    REGION,
     STORE,
+    region_suffix,
     result_layer,
     scale_prefix,
 )
@@ -122,8 +124,9 @@ def not_trusted_layer(confidence: LayerDataTuple, min_confidence: float) -> Laye
     made = dict(made_with["metadata"][METADATA_KEY])
     made |= {"result": NOT_TRUSTED, "min_confidence": min_confidence}
     made.pop(STORE, None)
+    region = (made.get(REGION) or {}).get("of", "")
     keywords = {
-        "name": f"{made['source']} not trusted",
+        "name": f"{made['source']}{region_suffix(region)} not trusted",
         "colormap": fixed_colors({1: NOT_TRUSTED_COLOR}),
         "opacity": NOT_TRUSTED_OPACITY,
         "metadata": {METADATA_KEY: made},

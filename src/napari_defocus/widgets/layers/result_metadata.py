@@ -52,6 +52,9 @@ PLANES = "planes"
 STORE = "store"
 """Where the metadata of a result that is kept on the disk say in which folder, and how long."""
 
+REGION = "region"
+"""Where the metadata of a result say which part of a plane it is of, see `region_description`."""
+
 AT = "at"
 """Where the metadata of a result say which plane of a stack it is of: a number an axis, or None."""
 
@@ -88,8 +91,8 @@ def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any)
         "settings": settings,
         AT: [at if isinstance(at, int) else None for at in plane.index],
     }
-    if plane.is_part:
-        made["region"] = region_description(plane)
+    if plane.is_part or plane.region:
+        made[REGION] = region_description(plane)
     return {METADATA_KEY: made | more}
 
 
@@ -118,12 +121,29 @@ def result_layer(
         Keywords of the layer.
     """
     keywords = {
-        "name": f"{plane.name} {name or result}",
+        "name": f"{plane.name}{region_suffix(plane.region)} {name or result}",
         "metadata": provenance(plane, result, settings, **more),
         **looks,
         **plane.placement,
     }
     return LayerDataTuple((plane.expanded(values), keywords, kind))
+
+
+def region_suffix(region: str) -> str:
+    """Return what stands behind a picture's name in those of results of a part of it.
+
+    Examples
+    --------
+    >>> region_suffix("shapes “Flower”"), region_suffix("visible field"), region_suffix("")
+    (' (Flower)', ' (visible field)', '')
+    """
+    return f" ({region.removeprefix('shapes “').removesuffix('”')})" if region else ""
+
+
+def region_of_result(layer: Layer) -> str:
+    """Return what chose the part of the picture that a result is of; "" for the whole plane."""
+    description = layer.metadata[METADATA_KEY].get(REGION) or {}
+    return str(description.get("of", ""))
 
 
 def noise_description(given: float | None, variances: Collection[float]) -> str:
@@ -162,7 +182,7 @@ def scale_prefix(scale_name: str) -> str:
 
 def confidence_description(share: float) -> str:
     """Return a line that says on what share of the pixels the confidence is high."""
-    return f"Confidence {CONFIDENT:g} or more on {share:.0%}"
+    return f"Trusted on {share:.0%} (confidence {CONFIDENT:g} or more)"
 
 
 def region_description(plane: Plane) -> dict[str, Any]:
@@ -205,9 +225,17 @@ def results_of(layers: LayerList, result: str, source: str) -> list[Layer]:
     return newest_first(found)
 
 
-def layer_of_result(layers: LayerList, result: str, source: str) -> Layer | None:
-    """Return the newest layer that holds a result of the layer named `source`, if there is one."""
-    return next(iter(results_of(layers, result, source)), None)
+def layer_of_result(
+    layers: LayerList, result: str, source: str, region: str | None = None
+) -> Layer | None:
+    """Return the newest layer that holds a result of the layer named `source`, if there is one.
+
+    With a `region`, only what is of that part of the picture, see `region_of_result`.
+    """
+    found = results_of(layers, result, source)
+    return next(
+        (layer for layer in found if region is None or region_of_result(layer) == region), None
+    )
 
 
 def same_estimation(layer: Layer, other: Layer) -> bool:

@@ -29,7 +29,9 @@ from napari_defocus.widgets.layers.result_layers import MASK_COLOR, fixed_colors
 from napari_defocus.widgets.layers.result_metadata import METADATA_KEY
 
 SEEDS = "seeds"
-BLURRED_COLOR = (0.2, 0.75, 1.0, 1.0)
+BLURRED_COLOR = (0.63, 0.13, 0.0, 1.0)
+"""Of all colours the one that is farthest from the mask's, from those of the map, from black and
+from white, for whoever sees all colours and for whoever sees less red, green or blue."""
 OPACITY = 0.7
 BRUSH_SIZE = 10
 
@@ -155,7 +157,7 @@ def add_seeds_layer(viewer: ViewerModel, image: Image) -> Labels:
         np.zeros(finest(image).shape[: image.ndim], np.uint8),
         name=f"{image.name} seeds",
         colormap=fixed_colors({IN_FOCUS: MASK_COLOR, BLURRED: BLURRED_COLOR}),
-        features={"index": [IN_FOCUS, BLURRED], "meaning": ["in focus", "blurred"]},
+        features={"meaning": ["not known", "in focus", "blurred"]},
         opacity=OPACITY,
         metadata={METADATA_KEY: made},
         **placement(image, (slice(None),) * image.ndim),
