@@ -318,12 +318,6 @@ def test_stack_of_one_plane_is_that_plane(tmp_path, rng):
     np.testing.assert_array_equal(read_picture(tmp_path / "p.tif"), plane[0])
 
 
-def test_animation_is_refused(tmp_path, rng):
-    frames = [Image.fromarray(bytes_of(rng, 24, 20)) for _ in range(3)]
-    frames[0].save(tmp_path / "p.png", save_all=True, append_images=frames[1:])
-    assert "animated" in refusal_of(tmp_path / "p.png")
-
-
 def test_unknown_colour_model_is_refused(tmp_path, rng):
     tifffile.imwrite(tmp_path / "p.tif", bytes_of(rng, 24, 20, 3), photometric="cielab")
     assert "CIELAB" in refusal_of(tmp_path / "p.tif")

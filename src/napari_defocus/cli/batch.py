@@ -40,8 +40,8 @@ def _end(facts: Facts) -> None:
     _lines,
     """
     inputs INPUTS...
-        Pictures (PNG, JPEG, TIFF, WebP, BMP), stacks and slides (TIFF, .svs, .ndpi, .scn, .qptiff,
-        .lsm, .stk and the like, OME-Zarr), folders of them, and patterns such as
+        Pictures (PNG, JPEG, TIFF, WebP, BMP, GIF, HEIC), stacks and slides (TIFF, .svs, .ndpi,
+        .scn, .qptiff, .lsm, .stk and the like, OME-Zarr), folders of them, and patterns such as
         'photos/**/*.tif'. Results of napari-defocus are left out of folders and patterns.
     output -o FOLDER
         Where to write: table.csv and table.jsonl, and the folder maps. It is made if missing.

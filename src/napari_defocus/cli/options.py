@@ -68,8 +68,8 @@ def shown(
 
 SHARED = entries_in("""
 image IMAGE
-    PNG, JPEG, TIFF, WebP or BMP; of a slide (.svs, .ndpi, .scn, .qptiff and the like), the
-    largest level.
+    PNG, JPEG, TIFF, WebP, BMP or GIF; HEIC and raw files with the extras heic and raw. Of a slide
+    (.svs, .ndpi, .scn, .qptiff and the like), the largest level is read.
 psf TEXT
     What a lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION, gaussian,
     generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote. auto lets the picture

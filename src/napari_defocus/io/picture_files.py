@@ -14,7 +14,7 @@ from napari_defocus.io.ome_zarr import is_zarr
 from napari_defocus.io.pictures import UnreadablePicture
 from napari_defocus.io.provenance import SOFTWARE, is_picture, mark_of
 
-_PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+_PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".heic", ".heif")
 _SLIDES = (".svs", ".ndpi", ".scn", ".qptiff", ".bif", ".lsm", ".stk", ".btf", ".tf8")
 PICTURE_SUFFIXES = (*_PHOTOGRAPHS, ".tif", ".tiff", *_SLIDES)
 """Files of folders and patterns that are taken for pictures; the slides are kinds of TIFF."""

@@ -93,7 +93,7 @@ def _read_exif(path: Path) -> tuple[Mapping[int, Any], tuple[int, int]]:
     except IsADirectoryError:
         reason = "it is a folder"
     except UnidentifiedImageError:
-        reason = "it is no picture (PNG, JPEG, TIFF, WebP or BMP)"
+        reason = "no EXIF is read from this kind of file (only PNG, JPEG, TIFF, WebP and BMP)"
     except Exception as error:
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split())
     raise ValueError(f"cannot read {path}: {reason}")
