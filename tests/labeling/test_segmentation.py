@@ -168,7 +168,9 @@ def test_flipped_and_transposed_pictures_have_the_flipped_mask(ramp_picture, ram
 
 @pytest.mark.parametrize("threshold", [-0.1, 8, 9, np.nan, np.inf])
 def test_threshold_lies_within_the_scales(ramp_picture, ramp_candidates, threshold):
-    with pytest.raises(ValueError, match=r"threshold is .* takes a scale from 0 to below 8 px"):
+    with pytest.raises(
+        ValueError, match=r"threshold is .* takes a blur radius from 0 to below 8 px"
+    ):
         segment_in_focus(ramp_candidates, ramp_picture, threshold=threshold)
 
 

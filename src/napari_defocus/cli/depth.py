@@ -102,7 +102,7 @@ def depth(
     files.write(contents, "depth", map=settings)
     facts |= file_facts(found) | map_facts(found, min_confidence) | _depth_facts(distance)
     facts |= {"reach_m": _reach(found, lens, side)}
-    return picture_facts(image, outputs, found, settings) | facts
+    return picture_facts(image, picture, outputs, found, settings) | facts
 
 
 def _depth_facts(distance: NDArray[Any]) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def explain(
         intensity_range=intensity_range,
     )
     files.write({path: _drawing(told) for path in outputs})
-    return picture_facts(image, outputs, found, settings) | _facts(told)
+    return picture_facts(image, picture, outputs, found, settings) | _facts(told)
 
 
 def _drawing(told: PixelExplanation) -> bytes:

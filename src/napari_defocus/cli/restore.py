@@ -101,7 +101,7 @@ def restore(
     )
     found = replace(found, noise_variance=fit.noise_variance)
     shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit}
-    facts = picture_facts(image, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
     contents = _encoded(outputs, sharp, picture, ALL_IN_FOCUS, made_with)
@@ -183,7 +183,7 @@ def refocus(
     )
     contents = _encoded(outputs, changed, picture, REFOCUSED, used(found, settings) | change)
     files.write(contents, "refocus", map=settings, restoration=asked, refocus=view)
-    facts = picture_facts(image, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
     return facts | map_facts(found) | change
 
 

@@ -95,8 +95,8 @@ def demonstrate(
         mask = segment(candidates, picture, mask_settings, progress=within(second, 0.5, 1.0))
         contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
         files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))
-    facts = picture_facts(Path("dandelion.jpg"), outputs, found, settings)
-    return facts | map_facts(found) | mask_facts(mask)
+    facts = picture_facts(Path("dandelion.jpg"), picture, outputs, found, settings)
+    return facts | map_facts(found) | mask_facts(mask, mask_settings.threshold)
 
 
 @contextmanager
