@@ -34,7 +34,7 @@ LINES_APART = 10.0
 PACKAGES_OF = {
     "demo": ["-e", "."],
     "development": ["-e", ".[napari,large,heic,raw]", "--group", "test", "--group", "lint"],
-    "docs": ["-e", ".", "--group", "docs"],
+    "docs": ["-e", ".[large]", "--group", "docs"],
     "release": ["--group", "release"],
 }
 
