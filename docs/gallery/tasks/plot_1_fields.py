@@ -40,7 +40,7 @@ with report.table.open(encoding="utf-8") as file:
     rows = list(csv.DictReader(file))
 
 # %%
-# Two columns decide. ``share_sure`` says on how much of the field the map is likely to be right: if
+# Two columns decide. ``share_sure`` says on how much of the field the map is probably right: if
 # that is little, there is nothing to see, and the field is neither sharp nor blurred.
 # ``median_radius_px`` says how blurred it is. How much blur you accept is up to you; here it is 1.5
 # px.

@@ -36,7 +36,7 @@ truth = 0.193 * 994.978 / (disparity + 31.086)  # metres: baseline and focal len
 # --------
 #
 # Four numbers are needed. Cameras note most of them in EXIF, and ``ThinLens.from_exif(path)`` reads
-# them. The distance that the lens was focused at is rarely among them: measure it.
+# them. They rarely note the distance that the lens was focused at: measure it.
 
 lens = ThinLens(focal_length_mm=50, f_number=2.0, focus_distance_m=2.0, pixel_pitch_um=36)
 seen, _ = simulate_layered_defocus(
