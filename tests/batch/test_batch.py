@@ -264,7 +264,7 @@ def test_what_is_there_is_not_overwritten_and_results_are_no_inputs(photographs,
     out = photographs
     (out / "maps").mkdir()
     (out / "maps" / "mine.tif").touch()
-    with pytest.raises(UnwritableResult, match="maps exists, and no batch of ours made it"):
+    with pytest.raises(UnwritableResult, match="maps exists, and no batch made it"):
         measure_batch(photographs, out, settings=QUICK)
     (out / "maps" / "mine.tif").unlink()
     pattern = photographs / "**" / "*"

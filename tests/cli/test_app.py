@@ -640,7 +640,7 @@ def test_saved_settings_say_nothing_of_what_was_not_used(picture, instant):
     ("content", "saying"),
     [
         (None, "settings.json: there is no such file"),
-        ("{", "it is no JSON"),
+        ("{", "it is not JSON"),
         ('{"map": {"radius": 3}}', 'key of "map" "radius"; it takes noise_variance, psf'),
         ('{"map": {"max_radius": "3"}}', '"max_radius" of "map" is "3"; it takes a number'),
     ],
@@ -874,7 +874,7 @@ def test_failed_demo_leaves_no_folder_behind(tmp_path, instant, monkeypatch):
 
 def test_demo_into_what_is_no_folder(tmp_path, instant):
     (tmp_path / "file").touch()
-    assert_fails_in_one_line(run("demo", tmp_path / "file"), saying="is no folder")
+    assert_fails_in_one_line(run("demo", tmp_path / "file"), saying="is not a folder")
     assert_fails_in_one_line(run("demo", tmp_path / "none" / "new"), saying="there is no folder")
     assert names_in(tmp_path) == ["file"]
 

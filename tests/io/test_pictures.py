@@ -483,7 +483,7 @@ def test_folder_that_takes_no_files_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(not os.path.exists("/dev/null"), reason="no such device here")  # noqa: PTH110
 def test_device_is_never_replaced():
-    with pytest.raises(UnwritableResult, match="no regular file"):
+    with pytest.raises(UnwritableResult, match="not a regular file"):
         check_results([Path("/dev/null")], force=True)
 
 

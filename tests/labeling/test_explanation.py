@@ -121,22 +121,22 @@ def test_pixel_beside_sharper_things_is_asked_farther_away_from_them(halves, of_
     assert told.best == pytest.approx(5, abs=0.5)
     assert told.own_window[1] > told.window[1] + 4
     column = (told.own_window[1] + told.own_window[3]) / 2
-    assert f"column {column:.0f} is asked instead: {told.best:.1f} px" in str(told)
+    assert f"column {column:.0f} counts instead: {told.best:.1f} px" in str(told)
 
 
 def test_place_without_texture_is_said_to_be_carried_in():
     candidates = estimate_candidates(np.full((80, 80), 0.5), noise_variance=1e-5)
     told = explain_pixel(candidates, 40, 40, blur_map=np.full((80, 80), 3.0))
     assert told.extrapolated
-    assert "No texture" in str(told)
-    assert "extrapolated" in str(told)
+    assert "no texture here" in str(told)
+    assert "from around" in str(told)
     assert "departs" not in str(told)
-    assert "extrapolated" not in str(explain_pixel(candidates, 40, 40))
+    assert "from around" not in str(explain_pixel(candidates, 40, 40))
 
 
 def test_map_that_follows_its_neighbours_is_told(candidates):
     told = explain_pixel(candidates, 61, 58, blur_map=np.full((120, 120), 1.5))
-    assert "departs from the likeliest" in str(told)
+    assert "the map differs because of neighbours" in str(told)
     agrees = explain_pixel(candidates, 61, 58, blur_map=np.full((120, 120), told.best + 0.4))
     assert "departs" not in str(agrees)
 
@@ -145,13 +145,13 @@ def test_map_that_follows_its_neighbours_is_told(candidates):
 def test_second_candidate_is_told_if_it_is_nearly_as_likely(candidates, below, nearly):
     told = explain_pixel(candidates, 61, 58)
     two = replace(told, radii=np.array([4.0, 6.2]), heights=np.array([0.0, -below]))
-    assert ("6.2 px is nearly as likely as 4.0 px: 0.61 times" in str(two)) == nearly
+    assert ("6.2 px is also likely: 61 % as likely as 4.0 px" in str(two)) == nearly
 
 
 def test_largest_radius_that_was_looked_for_may_be_more(candidates):
     full = np.full((120, 120), 8.0)
-    assert "it may be more" in str(explain_pixel(candidates, 61, 58, blur_map=full))
-    assert "it may be more" not in str(explain_pixel(candidates, 61, 58, blur_map=full - 1))
+    assert "may be wider" in str(explain_pixel(candidates, 61, 58, blur_map=full))
+    assert "may be wider" not in str(explain_pixel(candidates, 61, 58, blur_map=full - 1))
 
 
 def test_value_that_a_map_does_not_have_is_not_told(candidates):

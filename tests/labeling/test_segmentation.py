@@ -96,7 +96,7 @@ def test_seeds_that_agree_or_say_nothing_change_nothing(ramp_picture, ramp_candi
         (np.zeros((160, 160, 3), int), ValueError, r"seeds has shape \(160, 160, 3\)"),
         (np.full((160, 160), 3), ValueError, "seeds has the value 3; it takes 0 .* 1 .* and 2"),
         (np.full((160, 160), -1), ValueError, "seeds has the value -1"),
-        ([[0, 1], [2]], ValueError, "seeds is no array"),
+        ([[0, 1], [2]], ValueError, "seeds is not an array"),
     ],
 )
 def test_bad_seeds_are_an_error_that_names_them(ramp_picture, ramp_candidates, seeds, error, words):

@@ -44,7 +44,7 @@ def _lines(facts: Facts) -> Iterator[str]:
     if facts["infinite_percent"]:
         yield (
             f"infinite     {facts['infinite_percent']:.1f} % of the picture, "
-            "more blurred than any distance can be"
+            "with more blur than any distance can have"
         )
     if facts["reach_m"] is not None:
         comparison = "farther" if facts["side"] == "far" else "nearer"
@@ -84,7 +84,7 @@ def depth(
     settings = measuring.settings()
     check_confidence("min_confidence", min_confidence)
     if min_confidence > 0 and measuring.known_map and not measuring.map_confidence:
-        raise ValueError(f"min_confidence is {min_confidence}; with map it takes map_confidence")
+        raise ValueError(f"min_confidence is {min_confidence}; with map it needs map_confidence")
     check_endings(outputs, ".tif", ".tiff", ".png")
     picture = files.read(image, outputs, *measuring.files)
     lens = lens_of(image, thin_lens)

@@ -144,7 +144,7 @@ def compare(
     from napari_defocus.psf.parsing import psf_of
 
     if AUTO in (family or ()):
-        raise ValueError("family is 'auto', which is no lens; it takes a lens such as disc")
+        raise ValueError("family is 'auto', which is not one lens; it takes a lens such as disc")
     text_of = {psf_of(text, max_radius): text for text in family or COMPARED_PSFS}
     picture = read_picture(image)
     comparison = napari_defocus.compare_psf(

@@ -49,7 +49,7 @@ output -o PATH
 def _weight_line(facts: Facts) -> str:
     line = f"tv weight    {facts['tv_weight']:.2g}"
     if facts["misfit"] > 0:
-        line += f"; lens or map may not fit (variance {facts['misfit']:.1g}): with more care"
+        line += f"; lens or map may not fit (variance {facts['misfit']:.1g}): less blur taken away"
     return line
 
 

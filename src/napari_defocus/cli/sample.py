@@ -103,7 +103,7 @@ def demonstrate(
 def _folder_for_results(folder: Path) -> Iterator[None]:
     """Make the folder; take it away again if it is new and the work fails."""
     if folder.exists() and not folder.is_dir():
-        raise ValueError(f"cannot write into {folder}: it is no folder")
+        raise ValueError(f"cannot write into {folder}: it is not a folder")
     if not folder.absolute().parent.is_dir():
         raise ValueError(f"cannot make {folder}: there is no folder {folder.parent}")
     new = not folder.exists()

@@ -40,7 +40,7 @@ def _lines(facts: Facts) -> Iterator[str]:
     for note in facts["notes"]:
         yield f"planes       {note}"
     if facts["px_per_plane"] is None:
-        yield "blur         no texture to find by how much it grows from plane to plane"
+        yield "blur         not found: too little texture to see it grow from plane to plane"
     else:
         yield f"blur         grows by {facts['px_per_plane']:.2f} px from plane to plane"
     share = 100.0 * facts["share_of_plane"][facts["best_plane"]]
@@ -135,7 +135,7 @@ def sharpest(
     }
     family = MapSettings(psf=psf, max_radius=max_radius, **shaping).family()
     if psf == AUTO:
-        raise ValueError("psf is 'auto', which only maps take; it takes a lens such as disc")
+        raise ValueError("psf is 'auto', which works for maps only; it takes a lens such as disc")
     pictures = (output, position, confidence, all_channels)
     check_endings([path for path in pictures if path], ".tif", ".tiff")
     if save_alignment is not None:

@@ -139,7 +139,7 @@ def _unclear(left: dict[str, int], said: Callable[[str], str]) -> str:
         return "a single plane; it takes two or more along an axis such as z"
     if list(left) == ["c"]:
         return (
-            f"{held}, and channels are no planes through focus; it takes planes along another "
+            f"{held}, and channels are not planes through focus; it takes planes along another "
             "axis (if these are planes, name their axis z)"
         )
     others = [letter for letter in left if letter not in CHOSEN_BY]

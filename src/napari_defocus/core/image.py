@@ -169,7 +169,9 @@ def given_array(name: str, values: ArrayLike) -> NDArray[Any]:
     """
     array = np.ma.getdata(given_image(name, values))
     if np.ma.is_masked(values):
-        raise ValueError(f"{name} has masked values; it takes an array without, such as filled()")
+        raise ValueError(
+            f"{name} has masked values; it takes an array without a mask, such as {name}.filled()"
+        )
     return array
 
 
@@ -202,7 +204,7 @@ def given_image(name: str, values: ArrayLike) -> NDArray[Any]:
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise ValueError(f"{name} is no array: {error}") from None
+        raise ValueError(f"{name} is not an array: {error}") from None
 
 
 def prepare_light(

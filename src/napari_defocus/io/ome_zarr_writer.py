@@ -297,7 +297,7 @@ def _check_target(path: Path, force: bool) -> None:
     if not path.parent.is_dir():
         refusal = f"there is no folder {path.parent}"
     elif path.exists() and not is_zarr(path):
-        refusal = "it exists, and is no Zarr store"
+        refusal = "it exists, and is not a Zarr store"
     if refusal:
         raise UnwritableResult(f"cannot write {path}: {refusal}")
     if path.exists() and not force:

@@ -181,7 +181,9 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     path = Path(path)
     if path.is_dir():
         if not is_zarr(path):
-            raise UnreadablePicture(f"cannot read {path}: it is a folder, and no OME-Zarr store")
+            raise UnreadablePicture(
+                f"cannot read {path}: it is a folder, but not an OME-Zarr store"
+            )
         return _zarr_source(path)
     with reading(path):
         if is_tiff(path) and not is_raw(path):

@@ -176,8 +176,8 @@ def _checked(path: Path) -> Path:
     if not is_picture(mark):
         what = mark.get("quantity") or "result"
         raise UnreadablePicture(
-            f"cannot read {path}: it is no picture, but a result of {SOFTWARE} ({what}); folders, "
-            "and patterns in quotation marks, leave results out"
+            f"cannot read {path}: it is not a picture but a result of {SOFTWARE} ({what}); "
+            "folders, and patterns in quotation marks, leave results out"
         )
     return path
 

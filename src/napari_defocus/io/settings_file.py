@@ -124,7 +124,7 @@ def _not_for_json(parts: Mapping[str, Mapping[str, Any]]) -> str:
         for key, value in values.items():
             if not isinstance(value, str | int | float | None):
                 return f"{part}.{key} is {value!r}"
-    return "a key is no text"
+    return "a key is not text"
 
 
 def said_in(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
@@ -147,9 +147,9 @@ def said_in(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
     except FileNotFoundError:
         raise FileNotFoundError(f"cannot read {path}: there is no such file") from None
     except json.JSONDecodeError as error:
-        raise ValueError(f"cannot read {path}: it is no JSON ({error})") from None
+        raise ValueError(f"cannot read {path}: it is not JSON ({error})") from None
     except UnicodeDecodeError:
-        raise ValueError(f"cannot read {path}: it is no JSON, which is UTF-8 text") from None
+        raise ValueError(f"cannot read {path}: it is not JSON, which is UTF-8 text") from None
     except RecursionError:
         raise ValueError(f"cannot read {path}: it is nested too deeply for settings") from None
     except ValueError as error:

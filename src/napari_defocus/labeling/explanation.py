@@ -129,23 +129,23 @@ class PixelExplanation:
 
     def _on_evidence(self) -> Iterator[str]:
         if self.extrapolated:
-            carried = "" if self.blur is None else " The map was extrapolated from around."
-            yield f"No texture: the curve here and around is flat and tells no blur.{carried}"
+            carried = "" if self.blur is None else " The map has its value from around."
+            yield f"There is no texture here, so the curve is flat and tells no blur.{carried}"
             return
         if self.own_window is not None:
             top, left, bottom, right = self.own_window
             yield (
                 "The fine details of this window lie beside the pixel, on the other side of an "
                 f"edge. The window around row {(top + bottom) / 2:.0f}, column "
-                f"{(left + right) / 2:.0f} is asked instead: {_px(self.best)} px."
+                f"{(left + right) / 2:.0f} counts instead: {_px(self.best)} px."
             )
             return
         for radius, height in zip(self.radii[1:], self.heights[1:], strict=True):
             below = self.heights[0] - height
             if below < _NEARLY and abs(radius - self.radii[0]) > _tolerance(radius):
                 yield (
-                    f"{_px(radius)} px is nearly as likely as {_px(self.radii[0])} px: "
-                    f"{math.exp(-below):.2f} times."
+                    f"{_px(radius)} px is also likely: {100 * math.exp(-below):.0f} % as likely as "
+                    f"{_px(self.radii[0])} px."
                 )
 
     def _on_map(self) -> Iterator[str]:
@@ -153,9 +153,9 @@ class PixelExplanation:
             return
         best = self.best
         if best is not None and not self.extrapolated and abs(self.blur - best) > _tolerance(best):
-            yield f"The map departs from the likeliest, {_px(best)} px, because of its neighbours."
+            yield f"The likeliest radius is {_px(best)} px; the map differs because of neighbours."
         if self.blur > self.scales[-2]:
-            yield f"{_px(self.scales[-1])} px is the most that was looked for: it may be more."
+            yield f"The blur may be wider: the search ends at {_px(self.scales[-1])} px."
 
 
 def explain_pixel(
@@ -286,7 +286,7 @@ def draw_explanation(
         label="this window" if moved else "log p(r)",
     )
     if told.own_log_likelihood is not None:
-        asked = "the window that is asked"
+        asked = "the window that counts"
         axes.plot(told.scales, told.own_log_likelihood, color=_OWN_COLOR, lw=1.6, label=asked)
     if len(told.radii):
         dots = told.radii, np.maximum(told.heights, floor)

@@ -173,7 +173,7 @@ def compare_psf(
     progress("Measuring the noise", 0.0)
     windows = Windows.of(picture, noise_variance, window, window // _WINDOWS_APART)
     if not len(windows.power):
-        raise ValueError("image has no texture; no PSF family can be told from another")
+        raise ValueError("image has no texture; it cannot tell which PSF family fits")
     fits = []
     for index, psf in enumerate(checked):
         progress("Comparing PSF families", index / len(checked))

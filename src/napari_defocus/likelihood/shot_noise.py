@@ -89,7 +89,7 @@ class ShotNoise:
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is {value}; it takes a finite number from 0 up")
         if self.read_variance == self.gain == 0:
-            raise ValueError("read_variance and gain are both 0; one of them takes more")
+            raise ValueError("read_variance and gain are both 0; at least one must be larger")
         check_real("offset", self.offset, "a finite number")
         if not math.isfinite(self.offset):
             raise ValueError(f"offset is {self.offset}; it takes a finite number")

@@ -261,7 +261,7 @@ class MeasuredPSF:
         # Damaged bytes lead zipfile, zlib and numpy into whatever they raise.
         except Exception as error:
             raise ValueError(
-                f"cannot read {path}: it is no measured PSF, or damaged ({error})"
+                f"cannot read {path}: it is not a measured PSF, or it is damaged ({error})"
             ) from error
 
 
@@ -283,7 +283,7 @@ def _checked_provenance(provenance: Mapping[str, Any] | None) -> dict[str, Any]:
     try:
         return json.loads(json.dumps(dict(provenance)))
     except (TypeError, ValueError) as error:
-        raise TypeError(f"provenance is nothing that JSON can hold: {error}") from None
+        raise TypeError(f"provenance does not fit into JSON: {error}") from None
 
 
 def _trimmed(kernel: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -273,7 +273,7 @@ class Deconvolution:
                 start = _STEPS_A_ROUND * (_MISFIT_ROUNDS * number + count)
                 for step in self._pcg_steps(one, epsilon):
                     done = probed + (1 - probed) * (start + step) / whole
-                    progress("Taking the blur away with care: lens or map may not fit", done)
+                    progress("Taking less blur away: the lens or the map may not fit", done)
                 epsilon = max(epsilon / 2, _LEAST_EPSILON)
             sharp += one[self._blur.inner] + share * self._texture(one, noise)
         sharp /= np.float32(len(deviations))

@@ -298,7 +298,7 @@ def _chosen_alignment(
     kept = _surely(measured)
     if kept.is_still:
         return None, (
-            f"No plane moves by more than is measured for still ones ({measured.largest_motion:.2f}"
+            f"No plane moves by more than still planes seem to ({measured.largest_motion:.2f}"
             " px); none was aligned.",
         )
     return kept, (f"Planes were aligned: {kept}.",)
@@ -323,11 +323,11 @@ def _chosen_exposure(
     """Return what is applied, whether planes are equally bright then, and what is said of it."""
     gain, error = exposure.gain, exposure.error
     if not np.isfinite(error).all():
-        told = "Planes show too little light in common to compare how bright they are."
+        told = "Planes show too little in common to compare how bright they are."
         return None, False, (told,)
     if gain.max() > LARGEST_DRIFT or gain.min() < 1 / LARGEST_DRIFT:
         told = f"Planes differ in brightness by factors from {gain.min():.2f} to {gain.max():.2f}"
-        return None, False, (f"{told}: that is no flicker, and was left.",)
+        return None, False, (f"{told}: that is more than flicker, and was left as it is.",)
     off = np.abs(gain - 1)
     most = f"{100 * off.max():.1f} %"
     surely = (off > _SURE * error) & (off > _LEAST_GAIN)
