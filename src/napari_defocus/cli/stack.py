@@ -76,24 +76,24 @@ def _lines(facts: Facts) -> Iterator[str]:
         By how many px the radius of the blur grows from plane to plane. It is found from the stack
         if left out.
     align
-        Whether planes that drift, turn or are magnified are laid on the middle one first: auto, if
-        motion is surely there; yes, always; no, never.
+        Whether planes that drift, turn or are magnified are laid on the middle one first: auto (if
+        motion is surely there), yes (always) or no (never).
     use_alignment FILE
-        An alignment that --save-alignment wrote, of this stack or of another channel, instead.
+        Use the alignment that --save-alignment wrote for this stack or another channel.
     save_alignment FILE
-        Where to write how the planes lay on the middle one (.json).
+        Where to write how the planes were laid on the middle one (.json).
     match_brightness
-        Whether planes that a lamp made brighter or darker are made equally bright: auto, if they
-        surely differ; yes; no.
+        Whether planes that a lamp made brighter or darker are made equally bright: auto (if they
+        surely differ), yes or no.
     composite
-        Blended of the planes about each position, which averages noise and has no seams; or the
-        pixels of the nearest plane.
+        blended mixes the planes about each position, which averages noise and has no seams; pixels
+        takes the pixels of the nearest plane.
     peak
-        Which plane is meant where two are sharp, as in something transparent: the strongest, the
+        Which plane to take where two are sharp, as in something transparent: the strongest, the
         first or the last.
     all_channels PATH
-        Where to write a picture of every channel (.tif), put together at the positions that
-        --channel has told.
+        Where to write a picture of every channel (.tif), put together at the positions that were
+        found in --channel.
     """,
 )
 def sharpest(
