@@ -168,7 +168,7 @@ def estimate_candidates(
     if not isinstance(noise_variance, ShotNoise):
         check_noise_variance(noise_variance)
     check_search(search)
-    # What is no family is told by `Estimation`.
+    # What is not a family is told by `Estimation`.
     lens: Any = AutomaticPSF() if isinstance(psf, str) and psf == AUTO else psf
     how = Estimation(
         lens, window, stride, mode, spectra, search, linearize, intensity_range, camera_softness

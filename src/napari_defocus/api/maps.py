@@ -242,7 +242,7 @@ def label_blur_map(
     TypeError
         If `image` has no real dtype.
     ValueError
-        If `image` is no picture (see `estimate_candidates`) or another one than that of
+        If `image` is not a picture (see `estimate_candidates`) or another one than that of
         `candidates`, if `smoothness` is negative or `color_sigma` not positive.
 
     References

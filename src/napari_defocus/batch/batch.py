@@ -59,17 +59,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """What came of a batch.
+    """The results of a batch.
 
     Attributes
     ----------
     table : Path
-        CSV; the same rows as JSON lines are beside it.
+        A CSV file. A file with the same rows as JSON lines lies beside it.
     planes, failed : int
-        Rows of the table, and those of them that could not be measured.
+        How many rows the table has, and how many of these could not be measured.
     left_out : dict of str to int
-        How many files of the folders and patterns were no pictures, by their endings, such as
-        ".txt"; "result" for what this package made, "folder" for folders in a folder.
+        How many files of the folders and patterns were left out, by their endings, such as ".txt".
+        "result" counts results of this package, "folder" folders in a folder.
 
     Examples
     --------

@@ -84,7 +84,7 @@ def focus_axis(
     Raises
     ------
     TypeError
-        If `channel` or `time` is no whole number.
+        If `channel` or `time` is not a whole number.
     ValueError
         If there is no such channel or time, none was chosen of several, or not exactly one axis
         is left.

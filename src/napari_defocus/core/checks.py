@@ -39,7 +39,7 @@ def check_flag(name: str, value: Any) -> None:
 
 
 def check_whole(name: str, value: Any) -> None:
-    """Refuse, naming it, what is no number of px from 1 up."""
+    """Refuse, naming it, what is not a number of px from 1 up."""
     if not isinstance(value, Integral) or int(value) < 1:
         raise ValueError(f"{name} is {value!r}; it takes a whole number of px from 1 up")
 

@@ -22,9 +22,9 @@ def simulate_defocus(
     rng: int | np.random.Generator | None = None,
     intensity_range: tuple[float, float] | None = None,
 ) -> Float32:
-    r"""Blur a sharp picture by a map of scales and add noise, as (1) has it.
+    r"""Blur a sharp picture by a map of scales and add noise, as in (1).
 
-    Every output pixel gathers from its neighbours with the PSF of its own scale,
+    Every pixel of the result is a mean of its neighbours, weighted by the PSF of its own scale,
 
     .. math:: g[\mathbf{x}] = \sum_{\mathbf{u}} h_{r(\mathbf{x})}[\mathbf{u}]
         f[\mathbf{x} - \mathbf{u}] + n[\mathbf{x}], \qquad
@@ -57,7 +57,7 @@ def simulate_defocus(
     Raises
     ------
     TypeError, ValueError
-        If `image` is no picture (see `estimate_candidates`), if `blur_map` has another shape
+        If `image` is not a picture (see `estimate_candidates`), if `blur_map` has another shape
         or scales outside the domain, or if `noise_variance` is negative.
 
     Examples

@@ -76,8 +76,8 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     ------
     UnreadablePicture
         If there is no such file, it holds no picture, is cut off or damaged, is a stack or an
-        animation, holds several pictures of which none is clearly the one, has an unknown colour
-        model, or has more pixels than Pillow accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
+        animation, holds several pictures of similar size, has an unknown colour model, or has
+        more pixels than Pillow accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
 
     Examples
     --------

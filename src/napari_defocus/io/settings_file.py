@@ -88,17 +88,17 @@ class Settings:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
-        """Read settings that `save` or somebody's editor wrote.
+        """Read settings that `save` wrote, or that were edited.
 
-        Parts and keys that are not there have their defaults. A measured lens (.npz) is not
-        looked for yet; its path counts from where it is used.
+        Parts and keys that are missing have their defaults. A measured lens (.npz) is not opened
+        yet; a relative path of it counts from the folder where it is used.
 
         Raises
         ------
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is no JSON, or a part, a key or a value cannot be; the message has the file,
+            If it is not JSON, or a part, a key or a value cannot be; the message has the file,
             the key, what it got and what it takes.
         """
         said = said_in(path)

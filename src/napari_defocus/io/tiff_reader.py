@@ -116,7 +116,7 @@ def open_tiff(path: Path) -> tuple[da.Array, str, PixelSize]:
 
     Its data, (..., H, W) or (..., H, W, 3 or 4), are read when they are computed; there is a letter
     an axis, s of colours, and what `pixel_size_in_tiff` gives. ValueError is raised if the file
-    holds several pictures, is cut off, or holds what is no picture.
+    holds several pictures, is cut off, or holds what is not a picture.
     """
     import tifffile
 

@@ -42,9 +42,9 @@ _CURVE_COLOR, _OWN_COLOR, _MAP_COLOR = "#3d9be9", "#e8702a", "#2ca58d"
 
 @dataclass(frozen=True, eq=False)
 class PixelExplanation:
-    """What is known about the blur of one pixel, and what a map made of it.
+    """What is known about the blur of one pixel, and what a map says there.
 
-    ``str()`` tells it in a few lines.
+    ``str()`` returns it in a few lines.
 
     Attributes
     ----------
@@ -55,12 +55,12 @@ class PixelExplanation:
     log_likelihood : (L,) float64 ndarray
         log p(r) of the pixel's window, relative to its maximum; 0 at most.
     radii, heights : (n,) float64 ndarray
-        The candidates, in px, at most 3, best first, and their log p(r), relative to the same
+        The candidates in px, at most 3, best first, and their log p(r), relative to the same
         maximum.
     window : (float, float, float, float)
         Top, left, bottom and right edge of the window, in px, see `BlurCandidates.window_at`.
     evidence : float
-        How much texture there is around, from 0 to 1; below 0.5 a map is extrapolated.
+        How much texture there is around, from 0 to 1; below 0.5 a map has its value from around.
     scale_name : str
         What the scale measures, with its unit.
     blur : float or None
@@ -68,9 +68,9 @@ class PixelExplanation:
     confidence : float or None
         From 0 to 1; None if it was not given or is not known here.
     own_log_likelihood : (L,) float64 ndarray or None
-        The curve that the labelling took instead, relative to its own maximum: that of a
-        window which lies more on the pixel's side of an edge. None if it took the pixel's
-        own, or no image was given.
+        The curve that the labelling took instead, relative to its own maximum. It is that of a
+        window which lies more on the pixel's side of an edge. None if it took the pixel's own
+        window, or no image was given.
     own_window : (float, float, float, float) or None
         Where that window is.
     """
@@ -168,9 +168,9 @@ def explain_pixel(
     image: ArrayLike | None = None,
     intensity_range: tuple[float, float] | None = None,
 ) -> PixelExplanation:
-    """Tell what is known about the blur of one pixel: the paper's Fig. 6, and what came of it.
+    """Explain the blur of one pixel: its likelihood curve (the paper's Fig. 6) and the map.
 
-    Only the surroundings are looked at: it takes milliseconds, whatever the picture's size.
+    It takes milliseconds for a picture of any size, because it needs the surroundings only.
 
     Parameters
     ----------
@@ -183,8 +183,8 @@ def explain_pixel(
     confidence : (H, W) array_like, optional
         From `confidence_map`.
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, optional
-        The picture that the candidates came from. With it, it is also told whether the
-        labelling took the curve of another window, see `PixelExplanation`.
+        The picture that the candidates came from. With it, the explanation also says whether
+        the labelling took the curve of another window, see `PixelExplanation`.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1; those of `candidates` if left out.
 
@@ -253,9 +253,9 @@ def draw_explanation(
     axes : matplotlib.axes.Axes
         Empty axes.
     floor : float, optional
-        How far down log p(r) is shown, below 0.
+        The lowest log p(r) that is shown, below 0.
     legend : bool, optional
-        Whether to say what is what.
+        Whether to draw a legend.
 
     Examples
     --------

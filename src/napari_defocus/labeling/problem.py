@@ -63,7 +63,7 @@ class LabelingProblem:
         TypeError
             If `image` has no real dtype, or `candidates` are not those of one picture.
         ValueError
-            If it is no picture, or another one than that of `candidates`.
+            If it is not a picture, or another one than that of `candidates`.
         """
         check_candidates(candidates)
         picture = _picture_of(candidates, image, intensity_range)

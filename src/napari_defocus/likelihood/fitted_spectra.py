@@ -163,7 +163,7 @@ class FitReport:
     Attributes
     ----------
     scales : (M,) float64 ndarray
-        Where they are compared, in px: over the fit's domain, 0.02 px apart.
+        The scales that are compared, in px: 0.02 px apart over the domain of the fit.
     frequencies : (F, 2) float64 ndarray
         Of the filters, along rows and columns, in cycles/px.
     log_errors : (M, 2, F) float64 ndarray
@@ -236,7 +236,7 @@ def fit_report(
     Raises
     ------
     TypeError, ValueError
-        If `psf` is no family, or `window` no odd number from 17 up.
+        If `psf` is not a family, or `window` is not an odd number from 17 up.
 
     Examples
     --------

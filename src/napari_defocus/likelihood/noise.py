@@ -46,25 +46,25 @@ def estimate_noise_variance(
 ) -> float:
     r"""Find the variance of the noise in a picture's luminance.
 
-    White noise is seen in the finest details of the flattest places: the 10 % quantile
-    :math:`Q_{0.1}` of their local variance, over squares S of 25 x 25 px, which for white noise of
-    variance 1 is 0.865. Fine details are those of Immerkaer's operator [1]_,
+    White noise is seen in the finest details of the flattest places. Its measure is the 10 %
+    quantile :math:`Q_{0.1}` of their local variance, over squares S of 25 x 25 px; for white noise
+    of variance 1 this is 0.865. Fine details are those of Immerkaer's operator [1]_,
 
     .. math:: \hat{\sigma}_1^2 = \frac{Q_{0.1}(v_1)}{0.865}, \qquad
         v_1[\mathbf{x}] = \frac{1}{36 \, |S|} \sum_{\mathbf{u} \in S(\mathbf{x})}
         \left|(d^T d \otimes g)[\mathbf{u}]\right|^2, \qquad d = (1, -2, 1)
 
-    JPEG takes the finest details first and leaves errors in the others. On pictures that show its
-    blocks of 8 px, the steps q to which it has rounded the cosine transform of the blocks are read
-    off the picture, and half their variance, q^2 / 12 in levels of 8 bits, is added, with what
-    else cameras do to pictures. With :math:`\hat{\sigma}_2^2` for details twice as large,
+    JPEG removes the finest details first, and leaves errors in the others. If a picture shows its
+    blocks of 8 px, the steps q of its rounding are found from the picture. Half their variance,
+    q^2 / 12 in levels of 8 bits, is added, and a constant for what cameras do to pictures. With
+    :math:`\hat{\sigma}_2^2` for details twice as large,
     :math:`d = (1, 0, -2, 0, 1)`, and the size :math:`\Delta` of a level,
 
     .. math:: \hat{\sigma}_n^2 = \hat{\sigma}_1^2
         + \max(0, \hat{\sigma}_2^2 - \hat{\sigma}_1^2)
         + \left(\frac{q^2}{24} + 2 \cdot 10^{-5} \cdot 255^2\right) \Delta^2
 
-    Fine texture that is sharp everywhere passes for noise.
+    Fine texture that is sharp everywhere counts as noise.
 
     Parameters
     ----------
@@ -78,14 +78,14 @@ def estimate_noise_variance(
     Returns
     -------
     float
-        Variance for intensities in [0, 1]; 0 for a constant picture. Of k * image + b, it is
-        the same share of the squared contrast. Independent noise of variance v in each of R, G
-        and B is 0.45 v in luminance.
+        Variance for intensities in [0, 1]; 0 for a constant picture. For k * image + b it is the
+        same share of the squared contrast. Independent noise of variance v in each of R, G and B
+        makes 0.45 v in the luminance.
 
     Raises
     ------
     TypeError, ValueError
-        If `image` is no picture.
+        If `image` is not a picture.
 
     References
     ----------

@@ -338,7 +338,7 @@ def _scoring_step(log_sums: Float32, scale: int, least: np.float32, state: Float
     last = np.float32(log_sums.shape[2] - 2)
     for lane in range(_LANES):
         position = (state[_LOG_S, lane] - _LEAST_LOG) * (one / _LOG_STEP)
-        # Written so that a position that is no number has an index inside the table, too.
+        # Written so that a position that is not a number has an index inside the table, too.
         inside = position if position > zero else zero
         whole = np.float32(np.int32(inside if inside < last else last))
         u = position - whole

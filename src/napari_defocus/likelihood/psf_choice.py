@@ -53,9 +53,9 @@ class PSFChoice:
     found : bool
         Whether the picture tells it.
     margin : float
-        Units of log-likelihood, in the mean of the windows that voted, by which it is better than
-        the disc, or the disc than the next; below 0, another one is better, but not clearly. 0 if
-        too few windows voted.
+        By how much it is better than the disc, or the disc than the next one, in units of
+        log-likelihood: the mean over the windows that voted. Below 0, another one is better, but
+        not clearly. 0 if too few windows voted.
     windows : int
         How many voted.
     """

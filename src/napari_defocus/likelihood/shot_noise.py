@@ -70,7 +70,7 @@ class ShotNoise:
     Raises
     ------
     TypeError, ValueError
-        If one is no number or not finite, or `read_variance` and `gain` are negative or both 0.
+        If one is not a number or not finite, or `read_variance` and `gain` are negative or both 0.
 
     Examples
     --------
@@ -114,9 +114,9 @@ def estimate_shot_noise(
     .. math:: \underset{\sigma_{\text{read}}^2, \, \gamma \, \ge \, 0}{\text{arg min}} \sum_I \left(
         \frac{\sigma_{\text{read}}^2 + \gamma I}{v_I} - 1\right)^2
 
-    If a line whose constant may be negative fits them to 10 %, and the noise grows at least four
-    times, it is taken as it is: where it meets 0 is the offset of the camera. On pictures that show
-    JPEG's blocks the line is scaled so that its mean over the picture is `estimate_noise_variance`.
+    A line whose constant may be negative is fitted, too. If it fits to 10 %, and the noise grows at
+    least four times, it is taken instead: it meets 0 at the offset of the camera. If the picture
+    shows JPEG's blocks, the line is scaled so that its mean is `estimate_noise_variance`.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def estimate_shot_noise(
     Returns
     -------
     ShotNoise
-        To be given to `estimate_candidates` as `noise_variance`.
+        `estimate_candidates` takes it as `noise_variance`.
 
     Raises
     ------

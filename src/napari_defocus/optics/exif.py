@@ -50,7 +50,7 @@ def noted_lens(
     Raises
     ------
     TypeError
-        If `image_size` is no pair of whole numbers.
+        If `image_size` is not a pair of whole numbers.
     ValueError
         If its numbers are not above 0, or the file cannot be read.
     """

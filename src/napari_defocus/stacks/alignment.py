@@ -126,7 +126,7 @@ class StackAlignment:
 
     @property
     def motion(self) -> Float64:
-        """How far the place of each plane that moves the most is from where it was: (Z,) px."""
+        """How far the pixel that moves most has moved, for each plane: (Z,) px."""
         corners = np.array([complex(*corner) for corner in self._corners()])
         factors = self.magnification * np.exp(1j * np.deg2rad(self.turn))
         shifts = self.shift[:, 0] + 1j * self.shift[:, 1]
