@@ -16,9 +16,9 @@ import numpy as np
 from matplotlib import pyplot as plt
 from scipy.ndimage import gaussian_filter
 
-from napari_defocus import estimate_candidates, segment_in_focus
+from napari_defocus import estimate_candidates, read_picture, segment_in_focus
 
-photograph = imageio.imread(Path("..", "photographs", "nuthatch.jpg"))
+photograph = read_picture(Path("..", "photographs", "nuthatch.jpg"))  # or your own file
 candidates = estimate_candidates(photograph)
 mask = segment_in_focus(candidates, photograph)
 

@@ -15,7 +15,8 @@ from matplotlib import pyplot as plt
 
 from napari_defocus import sharpest_plane
 
-stack = tifffile.imread(Path("..", "..", "..", "tests", "stacks", "circuit-board.tif"))
+folder = Path("..", "..", "..", "tests", "stacks")
+stack = tifffile.imread(folder / "circuit-board.tif")  # or your own file
 print(stack.shape)  # planes, rows, columns
 
 # %%
