@@ -42,7 +42,7 @@ _MODULES = (
 """Where the kernels of maps, masks and confidences are."""
 
 _SIDE = 72
-"""px, as many windows as pixels: enough for a coarser grid of labels."""
+"""px: a picture with as many windows as pixels, large enough for a coarser grid of labels."""
 
 _turn = threading.Lock()
 _compiled = False

@@ -61,7 +61,7 @@ KINDS = {
     "mask": Kind("-mask", ".png", "in-focus mask", "1", "uint8"),
     "in_focus": Kind("-in-focus", ".png", ALL_IN_FOCUS, "1", "float32"),
 }
-"""Under the names of the table's columns."""
+"""The kinds of results, by the names of the table's columns."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from napari_defocus.labeling.explanation import PixelExplanation
 
 _SIZE, _DPI = (6.4, 4.0), 140
-"""Of the drawing, in inches and pixels an inch."""
+"""Size of the drawing in inches, and its pixels per inch."""
 
 
 def _lines(facts: Facts) -> Iterator[str]:

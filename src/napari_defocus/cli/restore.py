@@ -37,7 +37,7 @@ MEASURING_SHARE = 0.2
 """Roughly how much of the time goes into the map; for the progress bar only."""
 
 _RESTORING_SHARE = 0.8
-"""Of the time after the map, roughly."""
+"""The share of the time after the map, roughly."""
 
 _OUTPUTS = """
 output -o PATH

@@ -31,7 +31,9 @@ PARTS_OF: dict[str, dict[str, type[Any]]] = {
     "explain": {"map": MapSettings},
     "batch": {"restoration": RestorationSettings, "mask": MaskSettings, "map": MapSettings},
 }
-"""What each command takes from a settings file; of one option in two parts, the later says it."""
+"""What each command takes from a settings file. If one option is in two parts, the later one
+counts.
+"""
 
 _RIVAL_OF = {
     "noise_variance": "shot_noise",
@@ -39,7 +41,7 @@ _RIVAL_OF = {
     "focus": "sharp_at",
     "psf": "known_map",
 }
-"""Given on the command line, the second says what the first would say."""
+"""If the second option is given on the command line, the first one of the file does not count."""
 
 
 def options_from_file(ctx: typer.Context, path: Path | None) -> Path | None:

@@ -19,7 +19,7 @@ _LETTER_OF_NAME = dict.fromkeys(("c", "ch", "channel", "channels"), "c")
 _LETTER_OF_NAME |= dict.fromkeys(("t", "time", "times"), "t")
 
 _UNNAMED = "iq"
-"""What tifffile calls axes of pages of which a file says nothing."""
+"""tifffile's letters for axes that a file does not name."""
 
 
 @dataclass(frozen=True)

@@ -23,14 +23,14 @@ LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """ITU-R BT.601: the luminance that JPEG keeps at full resolution."""
 
 MIN_SIDE = 3
-"""px: the least side of a picture, that of second differences."""
+"""px: the least side of a picture, because second differences need three pixels."""
 
 _LARGEST = 1e9
 """Intensity, once it is scaled: its fourth power is still a number in single precision."""
 
 _DARK, _DARKEST = 0.5, 1e-3
-"""Of the range: pictures of less contrast are shown from this quantile to the opposite one.
-Chosen by hand, for the eye.
+"""Pictures whose contrast is less than _DARK of the range are shown brighter: from the quantile
+_DARKEST to the opposite one. Chosen by hand, for the eye.
 """
 
 

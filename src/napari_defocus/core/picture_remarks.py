@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from napari_defocus.core.known_pixels import known_pixels
 
 _SATURATED = 0.05
-"""Share of pixels; 17 of 17 photographs with skies and lamps have 0.03 or less."""
+"""Share of pixels. In 17 photographs with skies and lamps it is 0.03 or less."""
 
 
 def picture_remarks(picture: NDArray[Any], window: int) -> list[str]:

@@ -23,7 +23,7 @@ Float64 = NDArray[np.float64]
 RadiusOfDepth = Callable[[Float64], ArrayLike]
 
 _NOTHING = 1e-4
-"""Coverage that counts as none, above the rounding errors of the convolutions. By hand."""
+"""Coverage that counts as none; it is above the rounding errors of the convolutions. By hand."""
 
 
 def simulate_layered_defocus(

@@ -5,26 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 
 READ_FORMATS = "PNG, JPEG, TIFF, WebP, BMP and GIF"
-"""What is read with no extra installed."""
+"""The formats that are read without an extra."""
 
 _START = 1024
-"""Bytes that are looked at."""
+"""How many bytes are looked at."""
 
 _HEIC_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"heif"})
 _AVIF_BRANDS = frozenset({b"avif", b"avis"})
 _RAW_BRAND = b"crx "
 
 _RAW_STARTS = (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb")
-"""Fujifilm, Olympus (three), Panasonic, Sigma; those of other cameras begin as a TIFF does."""
+"""Fujifilm, Olympus (three), Panasonic, Sigma. Raw files of other cameras begin as a TIFF does."""
 
 _RAW_PHOTOMETRIC = frozenset({32803, 34892})
-"""A mosaic of colours, and one that was taken apart already (DNG)."""
+"""A mosaic of colours, and a demosaicked one (DNG)."""
 
 _DNG_VERSION = 50706
 _CANON_RAW = slice(8, 10), b"CR"
 
 _READ_STARTS = (b"\x89PNG", b"\xff\xd8", b"GIF8", b"II*\0", b"MM\0*")
-"""Of files that are read if they are whole."""
+"""The first bytes of files that are read if they are whole."""
 
 _EXPORT = "save it as PNG or TIFF first"
 _EXPORT_STACK = "save it as OME-TIFF or OME-Zarr first, such as with Fiji or bioformats2raw"
@@ -51,7 +51,7 @@ _KINDS: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"\x1a\x45\xdf\xa3", "a video", _EXPORT_FRAMES),
     (0, b"PK\x03\x04", "a ZIP archive", "unpack it first"),
 )
-"""Where bytes stand, the bytes, what they say the file is, and what to do with it."""
+"""Where to look, the bytes there, what the file is then, and what to do with it."""
 
 
 def is_heic(path: Path) -> bool:

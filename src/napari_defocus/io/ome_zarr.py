@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import dask.array as da
 
 OUR_KEY = "napari_defocus"
-"""Where a store says what made it, beside the key "ome"."""
+"""The key of a store's attributes that says what made it, beside the key "ome"."""
 
 RGB_COLORS = ("FF0000", "00FF00", "0000FF")
 """Channels of these colours, in this order, are one picture in colour."""
@@ -145,7 +145,7 @@ def _only_picture_below(path: Path, about: Mapping[str, Any], groups: list[str])
 
 
 _LETTER_OF_TYPE = {"channel": "c", "time": "t"}
-"""Of axes that a store declares as such, whatever it calls them."""
+"""The letters of axes whose type a store declares, whatever their names are."""
 
 
 def _letters(declared: list[dict[str, Any]]) -> str:

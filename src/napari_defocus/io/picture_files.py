@@ -20,7 +20,7 @@ PICTURE_SUFFIXES = (*_PHOTOGRAPHS, ".tif", ".tiff", *_SLIDES)
 """Files of folders and patterns that are taken for pictures; the slides are kinds of TIFF."""
 
 FOLDER, RESULT, NO_ENDING = "folder", "result", "no ending"
-"""What is left out and has no ending that would say what it is."""
+"""Kinds of files that are left out and have no ending of their own."""
 
 _TOLD = {
     FOLDER: ("folder", "folders"),

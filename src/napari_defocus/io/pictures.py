@@ -19,14 +19,14 @@ from napari_defocus.io.file_kinds import is_heic, is_raw, kind_of
 from napari_defocus.io.tiff_series import picture_number, told_choice
 
 PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF")
-"""What Pillow may decode; some of its other formats start programs (EPS) or have no pixels."""
+"""What Pillow may decode. Some of its other formats start programs (EPS) or have no pixels."""
 
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_BIT_DEPTH_AT = 24
 
 _OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError)
-"""What decoders raise that did not expect what they met; it tells a reader of files little."""
+"""Errors that decoders raise by accident on damaged files. Their text tells a user little."""
 
 
 class UnreadablePicture(ValueError):

@@ -17,10 +17,12 @@ from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 VERSION_KEY = "napari_defocus"
-"""Under which a file says what version wrote it."""
+"""The key under which a file says which version wrote it."""
 
 UNIT_KEY = "unit"
-"""Under which a file that we wrote says what its px are: once, some lenses had others."""
+"""The key under which a file says what its px mean: for some lenses, they once meant something
+else.
+"""
 
 _NAME_OF_TYPE = {
     bool: "true or false",

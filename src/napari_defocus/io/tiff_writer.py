@@ -23,7 +23,7 @@ TILE = 512
 """px of a tile's side."""
 
 _LARGE = 2**32 - 2**25
-"""Bytes of all levels, not compressed, above which offsets take 64 bits."""
+"""If all levels have more bytes than this before compression, offsets take 64 bits."""
 
 _BUFFER = 2**24
 """Bytes of tiles that are compressed at a time."""

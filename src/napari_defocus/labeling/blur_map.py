@@ -45,13 +45,15 @@ REACH = 6
 """How far, in px, a discontinuity may be moved off the blocks at once."""
 
 CURVE_WEIGHT = np.float32(24)
-"""Of the curves' depth as data term, against the penalty (15)."""
+"""Weight of the curves as data term, against the penalty (15)."""
 
 _LEAST_SMOOTHNESS = 1e-12
-"""Of the sums of pairwise weights, so that their quotient is defined."""
+"""The least sum of pairwise weights, so that it can be divided by."""
 
 _HOLD = 12.0
-"""Of the smoothness, for each label that the rim of a part differs from the whole picture's."""
+"""At the rim of a tile, labels are held to those of the whole picture: each label of difference
+costs this many times the smoothness.
+"""
 
 
 def extrapolated(problem: LabelingProblem) -> NDArray[np.bool_]:

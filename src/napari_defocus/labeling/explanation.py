@@ -29,12 +29,12 @@ FLOOR = -20.0
 """How far below its maximum log p(r) is drawn: 2e-9 times as likely."""
 
 _NEARLY = 1.0
-"""Maxima that differ by less, in log p(r), are nearly as likely: by a factor of 2.7."""
+"""Maxima that differ by less in log p(r), a factor of 2.7, are both likely."""
 
 _NEIGHBORS = 32
-"""px around a place whose windows are looked at: averaged curves reach no farther."""
+"""px around a place whose windows are looked at. Averaged curves reach no farther."""
 _DETAILS = 8
-"""How far, in px, averaged curves and filtered details see; see `evidence`."""
+"""px that averaged curves and filtered details see around a place; see `evidence`."""
 
 _CURVE_COLOR, _OWN_COLOR, _MAP_COLOR = "#3d9be9", "#e8702a", "#2ca58d"
 """Told apart on dark and on light, and by people who see less red or green."""

@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 Ingredients = tuple[BlurCandidates, ArrayLike, tuple[float, float] | None]
 
 _REMEMBERED = 2
-"""Problems that a worker process keeps: the picture that is worked on, and the one before."""
+"""Problems that a worker process keeps: that of this picture and that of the one before."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,10 +24,10 @@ _FIT_STEP = 0.1
 """px between the samples that are fitted: Delta r of Section III-A."""
 
 _LOWEST_POWERS = (0, -1, -2, -3, -4)
-"""Those that p of (12) is chosen from, by the error between the samples. Chosen by hand."""
+"""The choices for p of (12), which the error between the samples decides. Chosen by hand."""
 
 _AS_GOOD = 1.1
-"""Times the least error: so large it may be, for the sake of fewer powers. Chosen by hand."""
+"""How many times the least error is good enough, for the sake of fewer powers. Chosen by hand."""
 
 _INDISTINCT = 1e-6
 """px, and share of the light beside the middle pixel, that count as none: rounding."""

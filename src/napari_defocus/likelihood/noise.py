@@ -26,15 +26,16 @@ _NEIGHBORHOOD = 25
 """px: the side of the square over which a local variance is taken. Chosen by hand."""
 
 _FLOOR_QUANTILE = 0.1
-"""Of the local variances: what is flattest shows noise alone. Chosen by hand."""
+"""The quantile of the local variances that counts: the flattest places show noise alone. By hand.
+"""
 
 _FLOOR_OF_WHITE = 0.865
 """The 10 % quantile of the local variance of white noise of variance 1, over 25 x 25 px."""
 
 PROCESSING_VARIANCE = 2e-5
-"""What a camera leaves at middle frequencies besides the finest details, intensities in [0, 1]: a
-level of 8 bits or so. With half the error of JPEG's steps, it served simulated cameras of
-qualities 40 to 98 (docs/decisions.md).
+"""Variance that a camera leaves at middle frequencies besides the finest details, for intensities
+in [0, 1]: about a level of 8 bits. With half the error of JPEG's steps, it fitted simulated cameras
+of qualities 40 to 98 (docs/decisions.md).
 """
 
 

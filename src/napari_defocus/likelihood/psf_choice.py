@@ -21,7 +21,9 @@ from napari_defocus.psf.families import Annulus, Disc, Gaussian, PSFFamily
 from napari_defocus.psf.parsing import psf_text
 
 _OTHERS = (Gaussian(), Annulus(0.3), Annulus(0.5))
-"""What is chosen instead of a disc: polygons, real irises, are as well measured as discs."""
+"""The families that may be chosen instead of a disc. Polygons, and real irises, are measured as
+well with discs.
+"""
 
 _LIMIT = 1.5
 """Units of log-likelihood, in the mean of windows, by which a family must be better than the disc.

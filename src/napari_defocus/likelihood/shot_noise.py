@@ -25,10 +25,10 @@ from napari_defocus.settings import MapSettings
 Float64 = NDArray[np.float64]
 
 _INTENSITY_BINS, _FEWEST_PLACES = 16, 100
-"""Ranges of intensity with equally many places, and how many a range has to have. By hand."""
+"""Ranges of intensity with equally many places, and the fewest places of a range. By hand."""
 
 _FEWEST_BINS = 10
-"""Of these, so many have to lie on the line."""
+"""So many of these ranges have to lie on the line."""
 
 _LARGEST_MISFIT = 0.1
 """Median distance of the ranges from the line, as a share of it: 0.02 to 0.08 on raw pictures of
@@ -42,14 +42,15 @@ _OUTLIERS, _ROUNDS = 2.5, 6
 """Ranges farther from the line than so many deviations are texture; rounds of leaving them out."""
 
 _DARK_SHARE = 0.05
-"""Of the least variance of a range, what is left where a line meets 0: read noise cannot be told
-from the offset there."""
+"""Share of the least variance of a range that is left where a line meets 0. Read noise and offset
+cannot be told apart there.
+"""
 
 _LEAST_SHARE = 1e-3
-"""Of the picture's noise variance: no range has less. Chosen by hand."""
+"""The least variance of a range, as a share of the picture's noise variance. Chosen by hand."""
 
 _EVERY = 7
-"""Of the places, so many: neighbours share most of their surroundings. Chosen by hand."""
+"""Every 7th place is taken: neighbours share most of their surroundings. Chosen by hand."""
 
 
 @dataclass(frozen=True)

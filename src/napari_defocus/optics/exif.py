@@ -19,10 +19,10 @@ _MICROMETRES = {_INCH: 25400.0, 3: 10000.0, 4: 1000.0, 5: 1.0}
 """By number of EXIF's FocalPlaneResolutionUnit."""
 
 _DIAGONAL_OF_35_MM = 43.27
-"""mm: of a frame of 24 x 36 mm."""
+"""mm: the diagonal of a frame of 24 x 36 mm."""
 
 _CROPPED = 0.01
-"""Ratios of sides that differ more than this are those of cropped pictures. Chosen by hand."""
+"""If the ratio of the sides differs by more than this share, the picture was cropped. By hand."""
 
 
 def noted_lens(

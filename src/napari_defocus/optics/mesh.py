@@ -19,7 +19,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _MOST_VERTICES = 250_000
-"""At most, unless a step is given. Chosen by hand."""
+"""The most vertices, unless a step is given. Chosen by hand."""
 
 _RANGE = (1, 99)
 """Percentiles of the distances that are near and far. Chosen by hand."""

@@ -18,7 +18,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _ROUNDING = float(np.finfo(np.float32).eps)
-"""Relative: what a blur in single precision leaves of a distance."""
+"""The relative error of a distance whose blur is in single precision."""
 
 
 @dataclass(frozen=True, kw_only=True)

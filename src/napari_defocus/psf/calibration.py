@@ -33,7 +33,9 @@ _SAME_SETTING = 0.05
 """px: pictures whose scales are closer are of one setting of the focus. Chosen by hand."""
 
 _HEADROOM = 1.01
-"""Of the range of floats that say no limit: nothing in them is saturated. Chosen by hand."""
+"""Factor beyond the largest value that becomes 1 for floats, so that no value counts as saturated.
+Chosen by hand.
+"""
 
 
 def calibrate_psf(

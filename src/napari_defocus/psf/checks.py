@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.checks import check_number
 
 _ROUNDING = 1e-9
-"""Of the largest value: kernels that went through an FFT are so far below 0 at most. By hand."""
+"""How far below 0 values may lie, as a share of the largest: that is rounding of an FFT. By hand.
+"""
 
 _LARGEST_SCALE = 10_000
 """px; the kernel of a disc of that radius takes 3 GB."""

@@ -43,8 +43,8 @@ _GAUSSIAN_CUT = 4.0
 """Standard deviations: beyond them, on an axis, lies 6e-5 of the light."""
 
 _TAIL, _NODES = 1e-4, 128
-"""Of `GeneralizedGaussian`: the share of its discs, the largest ones, that is left out, and how
-many the others become (Gauss-Legendre nodes). Chosen by hand.
+"""For `GeneralizedGaussian`: the share of its largest discs that is left out, and how many discs
+stand for the others (Gauss-Legendre nodes). Chosen by hand.
 """
 
 

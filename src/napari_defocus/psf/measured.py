@@ -25,16 +25,16 @@ from napari_defocus.psf.pixel_areas import corners_to
 Float64 = NDArray[np.floating]
 
 _SMALLEST_RATIO = 1e-3
-"""No kernel is scaled down further. Chosen by hand."""
+"""The smallest factor by which a kernel is scaled. Chosen by hand."""
 
 _INVISIBLE = 1e-6
-"""Of the largest value: borders that are darker are cut off. Chosen by hand."""
+"""Borders darker than this share of the largest value are cut off. Chosen by hand."""
 
 _LARGEST_FILE = 2**30
 """Bytes that a file may unpack to; 100 kernels of 501 px are 0.2 GB."""
 
 _FORMAT = "napari-defocus measured PSF, 1"
-"""What files of ours say of themselves."""
+"""The name of the format, as our files state it."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

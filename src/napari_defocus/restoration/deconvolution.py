@@ -58,8 +58,8 @@ lost is in docs/decisions.md.
 """
 
 _SILENCE = 1e-8
-"""Least noise variance, in units of the squared contrast: data without any noise do not outweigh
-everything. Chosen by hand.
+"""The least noise variance, in units of the squared contrast: without it, data without noise would
+outweigh everything. Chosen by hand.
 """
 
 _CLIPPED = 1 - 1 / 255
@@ -82,7 +82,7 @@ _CHECKED_AFTER = (2, 4)
 """Rounds, from 0, after which scales that explain nothing are reduced (docs/decisions.md)."""
 
 _GROSS = 8.0
-"""Times the noise that the residual's local power has to be. With 3 the gain on ramps fell to
+"""How many times the noise the residual's local power must be. With 3, the gain on ramps fell to
 6.6 dB (docs/decisions.md).
 """
 
@@ -93,13 +93,13 @@ _PROBED_AFTER = 2
 """The round, from 0, after which the misfit is measured."""
 
 _FITS, _FAILS = 1.2, 3.0
-"""The residual's power, times that of the noise, geometric mean over the picture: up to which the
-picture fits, and from which it does not (docs/decisions.md).
+"""Geometric mean of the residual's power over the picture, in units of the noise: up to the first
+value the picture fits, from the second on it does not (docs/decisions.md).
 """
 
 _LEFT_BY_TV = 2e-7
-"""Least power, in units of the squared contrast, that a residual is compared with: what the least
-lambda leaves over of pictures without noise.
+"""The least power, in units of the squared contrast, that a residual is compared with: what the
+least lambda leaves in pictures without noise.
 """
 
 _MISFIT = 0.0075
@@ -109,41 +109,41 @@ _TV_OF_MISFIT = 30.0
 """lambda of (19): so many times the variance of the misfit, as of the noise."""
 
 _LOWERED = (0.25, 1.25)
-"""Standard deviations by which scales are lowered in the two pictures that are averaged where the
-model does not fit: around the quantile of 10 % of a normal distribution, if the map is that of
-30 % (docs/decisions.md).
+"""Standard deviations by which scales are lowered in the two pictures that are averaged, where the
+model does not fit: around the 10 % quantile of a normal distribution, if the map is that of 30 %
+(docs/decisions.md).
 """
 
 _TOLERATED, _LARGEST_DEVIATION = 0.5, 3.0
-"""px: the error that the confidence is the probability of staying below, and the largest standard
-deviation that is read from it. The first is that of `confidence_map`.
+"""px: the error that `confidence_map` tolerates, and the largest standard deviation that is derived
+from a confidence.
 """
 
 _MISFIT_ROUNDS = 4
 """Rounds for each of the two pictures: a large lambda settles sooner."""
 
 _LEAST_SHARE_WITHIN = 1e-3
-"""Least erfinv of the confidence: only keeps the division from failing."""
+"""The least erfinv of the confidence, so that it can be divided by."""
 
 _LEAST_POWER = 1e-3
 """Least power of the residual in the geometric mean, in units of the noise variance."""
 
 _RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
-"""px: over which the residual's power is averaged, and how far around the scale is reduced.
-Chosen by hand.
+"""px: the Gaussian over which the residual's power is averaged, and how far around the scale is
+reduced. Chosen by hand.
 """
 
 _LEAST_KNOWN = 0.05
-"""Share of its surroundings that is not clipped, from which on a residual counts. By hand."""
+"""A residual counts if at least this share of its surroundings is not clipped. By hand."""
 
 _LEAST_SHARE, _UNCHANGED = 0.5, 0.95
-"""By how much a scale is reduced at most at once, and from which factor on it stays. Chosen by
+"""The smallest factor by which a scale is reduced at once; above the second factor it stays. By
 hand.
 """
 
 _PRECONDITIONED_TV = 15.0
-"""Of the TV's weight: the constant IRLS weight c that the preconditioner assumes, that of a
-gradient of 1/30 of the contrast. Chosen by hand.
+"""The constant IRLS weight c that the preconditioner assumes for the TV: that of a gradient of 1/30
+of the contrast. Chosen by hand.
 """
 
 

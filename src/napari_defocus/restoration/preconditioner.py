@@ -20,7 +20,7 @@ from napari_defocus.psf.families import PSFFamily
 Float32 = NDArray[np.float32]
 
 _TILE = 64
-"""px: the least side of a tile (docs/decisions.md); two kernels if that is more."""
+"""px: the least side of a tile (docs/decisions.md), or two kernels if that is more."""
 
 _SCALE_STEP = 0.25
 """px between the scales that tiles may have. Chosen by hand."""

@@ -36,7 +36,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _LAYER, _MOST_LAYERS = 0.25, 32
-"""px of blur, before or after, from layer to layer, and how many there are at most. By hand."""
+"""px of blur from layer to layer, before or after the change, and the most layers. By hand."""
 
 
 def change_focus(

@@ -37,30 +37,31 @@ Float64 = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 _RING_WIDTH = np.sqrt(2)
-"""Cycles a window, of a ring of frequencies. Chosen by hand."""
+"""Width of a ring of frequencies, in cycles per window. Chosen by hand."""
 
 _LEAST_NOISE = 1e-9
-"""Variance of the noise, for a contrast of 1, at least. Chosen by hand."""
+"""The least variance of the noise, for a contrast of 1. Chosen by hand."""
 
 _SCORING_ROUNDS = 2
 """Steps of Fisher scoring after least squares. Chosen by hand."""
 
 _LEAST_POWER, _TINY = np.float32(1e-3), np.float32(1e-12)
-"""P_zf in units of the noise, whose logarithm is taken, at least; and what is added to squares that
-are divided by. Chosen by hand.
+"""The least P_zf whose logarithm is taken, in units of the noise; and what is added to squares
+before they are divided by. Chosen by hand.
 """
 
 _MOST_DEVIANCE = np.float32(3)
 """Units of log-likelihood that d of one plane and frequency counts at most. Chosen by hand."""
 
 _LEAST_DISPERSION = np.float32(0.05)
-"""Of a window: no fit is trusted beyond. Chosen by hand."""
+"""The least dispersion of a window: no fit is trusted more. Chosen by hand."""
 
 _ENOUGH = np.float32(0.9)
-"""Of what the best plane knows of a window, planes need so much to have a say. Chosen by hand."""
+"""A plane counts if it knows at least this share of what the best plane knows of a window. By hand.
+"""
 
 _ROWS_AT_ONCE = 64
-"""Of windows. Results do not depend on it."""
+"""Rows of windows that are worked on at once. Results do not depend on it."""
 
 _LEAST_BLUR, _MOST_PX_A_PLANE = 0.7, 8.0
 """px: the least blur over a whole stack, and the most from plane to plane, that is looked for.
@@ -68,16 +69,16 @@ Chosen by hand.
 """
 
 _LADDER, _HALVINGS = np.sqrt(2), 4
-"""From one rate of px a plane that is tried to the next, and how often half of that is tried around
-the best. Chosen by hand.
+"""The factor from one rate (px a plane) to the next that is tried, and how often it is halved
+around the best one. Chosen by hand.
 """
 
 _WINDOWS_FOR_RATE = 400
-"""About so many windows tell the rate. Chosen by hand."""
+"""About so many windows decide about the rate. Chosen by hand."""
 
 _LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 8
-"""A window tells it whose power in the sharpest plane is so many times that of noise, and so many
-times its median; there have to be so many. Chosen by hand.
+"""Windows decide if their power in the sharpest plane is so many times that of the noise and so
+many times its median over the planes. There must be at least so many. By hand.
 """
 
 _HALF_PLANE = 0.5

@@ -27,16 +27,18 @@ _CELL = 32
 """px: side of the squares whose means are compared. Chosen by hand."""
 
 _OFFSETS = 9
-"""How many offsets of a camera are tried; as many again between the neighbours of the best."""
+"""How many offsets of a camera are tried, and again as many between the neighbours of the best."""
 
 _CLEARLY = 0.7
-"""Of what no offset leaves, an offset leaves at most: blur, too, makes squares alike. By hand."""
+"""An offset must leave at most this share of what no offset leaves, because blur also makes squares
+alike. By hand.
+"""
 
 _DARK = 0.05
-"""Of the mean light: darker squares tell nothing. Chosen by hand."""
+"""Squares darker than this share of the mean light do not count. Chosen by hand."""
 
 _LEAST_ERROR = 1e-4
-"""Of a gain: no measurement is surer. Chosen by hand."""
+"""The least error of a gain. Chosen by hand."""
 
 _OF_MEDIAN = 1.2533
 """Standard error of a median against that of a mean, for a normal distribution."""
@@ -45,7 +47,7 @@ _NORMAL = 1.4826
 """Standard deviations of a normal distribution in its median absolute deviation."""
 
 LARGEST_DRIFT = 2.0
-"""Factor by which planes may differ in brightness: more is no flicker. Chosen by hand."""
+"""The largest factor between planes that counts as flicker. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)

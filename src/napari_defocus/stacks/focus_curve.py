@@ -21,7 +21,7 @@ from napari_defocus.settings import CONFIDENT, MaskSettings
 Float64 = NDArray[np.float64]
 
 COLUMNS = ("share_in_focus", "median_radius_px", "median_confidence", "share_sure")
-"""Of the table that `FocusCurve.save` writes, after those of the plane."""
+"""Columns of the table that `FocusCurve.save` writes, after those of the plane."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -44,7 +44,7 @@ REACH = 6
 """How far, in px, a jump may be moved off the blocks at once. Chosen by hand."""
 
 _DEPTH = np.float32(15)
-"""Units of log-likelihood that a position costs at most, as in labeling/data_term.py."""
+"""The most that a position costs, in units of log-likelihood, as in labeling/data_term.py."""
 
 _NEIGHBORHOOD = 4.0
 """px: standard deviation of the Gaussian that averages evidence. Chosen by hand."""
@@ -60,7 +60,7 @@ Chosen by hand.
 """
 
 _LEAST_ENERGY = np.float32(1e-9)
-"""Of the focus measure, for a contrast of 1, whose logarithm is taken. Chosen by hand."""
+"""The least focus measure whose logarithm is taken, for a contrast of 1. Chosen by hand."""
 
 _MEASURE_DEPTH, _MEASURE_WEIGHT = np.float32(2), np.float32(180)
 """Units of its logarithm that the focus measure may lack at most, and what one costs, in the units
@@ -68,22 +68,24 @@ of the data term. Chosen by hand; how often the peak was right is said above.
 """
 
 _PIXEL_SMOOTHNESS = 0.2
-"""Of the smoothness of blocks, between pixels. Chosen by hand."""
+"""The smoothness between pixels, as a share of that between blocks. Chosen by hand."""
 
 _CLEAR_JUMP = 4.0
-"""Planes, within reach: beside smaller jumps, and on slopes, windows know better. By hand."""
+"""The least jump, in planes, within reach: windows are better beside smaller jumps and on slopes.
+By hand.
+"""
 
 _TEMPER = 0.7
 """Power of the likelihood, before positions are compared for the confidence. Chosen by hand."""
 
 _WEIGHT_OF_MASS, _BIAS = 1.12, 4.07
-"""Of the logistic curve from log odds to the confidence: fitted by benchmarks/stacks.py --fit."""
+"""The logistic curve from log odds to the confidence, fitted by benchmarks/stacks.py --fit."""
 
 _LEAST_ODDS = 5e-4
 """Added to both shares, so that their log odds are finite. Chosen by hand."""
 
 _ROUNDING, _TINY = 1e-4, 1e-12
-"""Planes that rounding may take, and a weight that is divided by at least."""
+"""Differences of positions that are rounding, and the least weight that is divided by."""
 
 
 @dataclass(frozen=True, eq=False)

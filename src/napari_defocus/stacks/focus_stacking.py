@@ -42,18 +42,20 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 WINDOW = 17
-"""px: planes are compared with each other, which needs no resolution in frequency. By hand."""
+"""px. It may be small, because comparing planes with each other needs no resolution in frequency.
+By hand.
+"""
 
 _RATE_WINDOW, _RATE_STRIDE = 33, 8
-"""px: how fast the blur grows is told by its absolute width, which does need resolution. Chosen by
-hand.
+"""px. It is larger, because how fast the blur grows follows from its width, which needs resolution
+in frequency. Chosen by hand.
 """
 
 _LABELS_A_PLANE, _PX_A_LABEL = 4, 0.125
 """Labels from plane to plane at most, and px of blur from label to label at least. By hand."""
 
 _ASSUMED_RATE = 1.0
-"""px a plane, where there is no texture to tell it. Chosen by hand."""
+"""px a plane that are assumed where no texture tells it. Chosen by hand."""
 
 _MEASURE_AREA = 2.0
 """px: standard deviation of the Gaussian over which the focus measure is averaged, for the colours
@@ -61,12 +63,12 @@ of the sharpest plane. Chosen by hand.
 """
 
 _LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
-"""Mean above the darkest places, of the contrast, from which on planes are compared in brightness;
-and by which factor they may differ at most. Chosen by hand.
+"""Planes are compared in brightness if their mean is so much above the darkest places, in units of
+the contrast; and the largest factor between them. Chosen by hand.
 """
 
 _FEW_PEAKS = 0.005
-"""Share of the picture: two peaks on less are not told. Chosen by hand."""
+"""Share of the picture: two peaks on less of it are not mentioned. Chosen by hand."""
 
 _DARKEST = 0.001
 """Quantile of a plane that counts as dark. Chosen by hand."""

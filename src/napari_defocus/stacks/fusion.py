@@ -49,7 +49,7 @@ Floating = NDArray[np.floating]
 _BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
 
 _LEVELS, _SMALLEST = 5, 8
-"""Of a pyramid at most, and px of its smallest level's sides at least. Chosen by hand."""
+"""The most levels of a pyramid, and the least side of its smallest level, in px. Chosen by hand."""
 
 _AREA = 2.0
 """px of a level: standard deviation of the Gaussian over which S is averaged. Chosen by hand."""
@@ -58,13 +58,13 @@ _TRANSITION = 0.7
 """px of a level: standard deviation of the Gaussian that smooths weights. Chosen by hand."""
 
 _CHANCE = 1.5
-"""Of the noise's variance: what the most of several planes may show by chance. Chosen by hand."""
+"""What the most of several planes may show by chance, in units of the noise's variance. By hand."""
 
 _LEAST_NOISE = np.finfo(np.float32).tiny
-"""Variance, so that it can be divided by."""
+"""The least variance, so that it can be divided by."""
 
 _POSITIONS_A_PLANE, _RATIOS = 32, np.logspace(-2, 6, 33)
-"""Of the table of tau: positions from plane to plane, and S / n."""
+"""The table of tau: positions from plane to plane, and values of S / n."""
 
 _HALVINGS = 30
 """Steps of the bisection that finds tau."""
@@ -73,18 +73,19 @@ _SIDE = 64
 """px of the pattern by which B of a level is measured."""
 
 _RADII = 41
-"""At which B is measured, up to the family's largest scale."""
+"""Radii at which B is measured, up to the family's largest scale."""
 
 _TINY = 1e-12
 
 _NEAR = 1.5
-"""Planes from the position: there the planes' own contrast says which is sharper. By hand."""
+"""Within so many planes of the position, the planes' own contrast says which is sharper. By hand.
+"""
 
 _NOT_ALL = np.float32(1 - 1e-6)
-"""Share of the contrast that planes farther away have at most: they are not the sharpest."""
+"""The most contrast of planes farther away, as a share: they are not the sharpest."""
 
 _LEAST_WEIGHT = 1e-6
-"""Of a plane without any share: it fills in where no better one is known."""
+"""Weight of a plane without any share: it counts only where no better one is known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ MEASURING = "Comparing neighbouring planes"
 """The step in which motion and brightness are measured."""
 
 _SURE = 4.0
-"""Standard errors from which on a motion or a gain is there. Chosen by hand."""
+"""A motion or a gain is there from so many standard errors on. Chosen by hand."""
 
 _LEAST_MOTION, _LEAST_GAIN = 0.35, 0.005
 """px at a corner, and factor beyond 1: less is not corrected by "auto". Chosen by hand: stacks that
@@ -43,10 +43,10 @@ do not move measure up to 0.3 px at their ends.
 """
 
 _MOST_UNCERTAINTY = 1.0
-"""px: alignments that are less sure are none. Chosen by hand."""
+"""px: less certain alignments do not count. Chosen by hand."""
 
 _SPLINE_REACH = 2
-"""px around what is not known, that splines spoil."""
+"""px around unknown pixels that splines spoil."""
 
 _DARKEST, _SMOOTH = 0.001, 2.0
 """Quantile of a plane that counts as dark, once a Gaussian of so many px has averaged its noise.
@@ -151,7 +151,7 @@ class MatchedPlanes:
 
 
 _ORDER_OF_OPACITY = 0
-"""Of the splines that move a fourth channel: each pixel keeps the opacity of one."""
+"""Order of the splines that move a fourth channel: 0, so that each pixel keeps one opacity."""
 
 
 def _as_given(

@@ -35,32 +35,32 @@ _FINE, _COARSE = 1.0, 8.0
 """px: standard deviations of the Gaussians between which details are compared. Chosen by hand."""
 
 _LEAST_BLOCK, _MOST_BLOCK, _BLOCKS_A_SIDE = 32, 128, 8
-"""px, and how many blocks along a side at most. Chosen by hand."""
+"""The least and the largest side of a block in px, and the most blocks along a side. By hand."""
 
 _COARSE_SIDE = 512
-"""px: planes with longer sides are first compared at so many. Chosen by hand."""
+"""px: planes with longer sides are first compared at this size. Chosen by hand."""
 
 _FIRST, _FRACTIONS = (1,), (20, 20)
-"""To which part of a pixel blocks are asked, round after round, before and after it is known where
-planes lie about; the mean of many blocks is finer. Chosen by hand.
+"""Blocks are compared to this fraction of a pixel, in each round, before and after the rough motion
+is known. The mean of many blocks is finer. Chosen by hand.
 """
 
 _SPLINE = 3
-"""Order of the splines by which a plane is laid on another to be compared: details that finer ones
-keep are not. Chosen by hand.
+"""Order of the splines that move a plane for the comparison. Finer splines keep details that are
+not compared. Chosen by hand.
 """
 
 _KNOWN = 0.95
-"""Share of a block that has to be known. Chosen by hand."""
+"""The share of a block that must be known. Chosen by hand."""
 
 _FEWEST_BLOCKS = 4
-"""From which on a magnification and a turn are asked for. Chosen by hand."""
+"""From so many blocks on, a magnification and a turn are fitted, too. Chosen by hand."""
 
 _OUTLIER = 1.5
-"""Standard deviations from which on a block counts less. Chosen by hand."""
+"""A block counts less if it is off by more than so many standard deviations. Chosen by hand."""
 
 _LEAST_SCATTER = 0.01
-"""px: blocks that agree better are no surer. Chosen by hand."""
+"""px: the least scatter of the blocks. Chosen by hand."""
 
 _ROBUST_ROUNDS = 20
 
@@ -68,7 +68,7 @@ _NORMAL = 1.4826
 """Standard deviations of a normal distribution in its median absolute deviation."""
 
 _LEAST_FREEDOM = 0.25
-"""Blocks beyond those that a similarity needs, at least; so few say little. Chosen by hand."""
+"""The least number of blocks beyond those that a similarity needs: fewer say little. By hand."""
 
 
 _TINY = 1e-12
