@@ -257,10 +257,10 @@ def _quiet_libraries() -> Any:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let Ctrl-C wait, here and for ever in processes that are started by threads of meanwhile.
+    """Let Ctrl-C wait in this process, and never reach processes that are started meanwhile.
 
-    A terminal sends it to workers, too, but it is for this process to end them. dask would not
-    clean up if it was interrupted while it starts or ends them.
+    A terminal sends it to workers, too, but this process ends them. dask would not clean up if it
+    was interrupted while it starts or ends them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

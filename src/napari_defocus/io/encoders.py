@@ -53,10 +53,10 @@ def blur_map_tiff(
 ) -> bytes:
     """Encode a blur map, (..., H, W) in px, NaN where it is not trusted, as a TIFF file.
 
-    It is float32, deflate-compressed, a page a plane. Its ImageDescription is a JSON object that
-    says the quantity, the unit, the version of this package, the settings that made the map, the
-    shape, and what else is `made`, such as its source. The height and width of a pixel, in m,
-    become the resolution that other programs show.
+    It is float32, deflate-compressed, a page for each plane. Its ImageDescription is a JSON object.
+    It has the quantity, the unit, the version of this package, the settings that made the map, the
+    shape, and all of `made`, such as its source. The height and width of a pixel, in m, become the
+    resolution that other programs show.
     """
     return _tiff(blur_map, said_of_map(scale_name), settings, made, pixel_size)
 

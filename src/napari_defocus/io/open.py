@@ -139,13 +139,13 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     - PNG, JPEG, WebP, BMP, GIF, HEIC and raw files: what `read_picture` gives, as one block. Of
       an animation each frame is a plane along t, and a block.
     - TIFF of one page, or of many (ImageJ, OME-TIFF, LSM, STK, slides), tiled or not: the
-      largest level of the picture, without labels and previews beside it, of which tiles, strips
-      or parts of an uncompressed page are read. Values, colours and orientation are as
-      `read_picture` gives them; pixel size and units as `pixel_size_in_tiff`. Planes that an
-      OME-TIFF tells of, but that were not recorded or whose file is missing, are 0.
-    - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels that
-      the store says are pure red, green and blue become colours; all other channels are planes,
-      even three of uint8, because a store does not say that they belong together.
+      largest level of the picture, without labels and previews. Tiles, strips, or parts of an
+      uncompressed page are read one by one. Values, colours and orientation are those of
+      `read_picture`; pixel size and units those of `pixel_size_in_tiff`. An OME-TIFF may name
+      planes that were not recorded, or whose file is missing: they are 0.
+    - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels become
+      colours if the store says that they are pure red, green and blue. All other channels are
+      planes, even three of uint8, because a store does not say that they belong together.
 
     Parameters
     ----------

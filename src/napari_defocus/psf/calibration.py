@@ -1,8 +1,9 @@
 """The PSF of a lens, measured from pictures that it took out of focus (Section III-A).
 
-Either the pictures show point sources, such as a back-lit pinhole or distant lamps, and every
-spot is the PSF; or they show anything with texture, and a sharp picture of the same is given,
-so that the PSF is what turns the one into the other. Few settings of the lens are enough.
+There are two ways. The pictures show point sources, such as a back-lit pinhole or distant lamps:
+then every spot is the PSF. Or they show anything with texture, and there is a sharp picture of the
+same: then the PSF is what turns the sharp picture into the blurred one. Few settings of the lens
+are enough.
 """
 
 from __future__ import annotations

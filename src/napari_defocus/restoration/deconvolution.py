@@ -9,25 +9,24 @@ where |grad f|^2 is the sum over both directions and all channels: edges of the 
 the same places. As a prior, it says that pictures have few and steep edges. It is solved by
 iteratively reweighted least squares (IRLS; half-quadratic regularization: Geman and Reynolds,
 IEEE PAMI 14(3), 1992; lagged diffusivity: Vogel and Oman, SIAM J. Sci. Comput. 17(1), 1996). Each
-round replaces the second sum by the quadratic sum_x c_x |grad f[x]|^2 that touches it from above,
-with the IRLS weights c = lambda / (2 sqrt(|grad f|^2 + eps^2)) of the present f, and goes some
-steps of preconditioned conjugate gradients (PCG) towards the solution of
+round replaces the second sum by the quadratic sum_x c_x |grad f[x]|^2 that touches it from above.
+Its IRLS weights are c = lambda / (2 sqrt(|grad f|^2 + eps^2)) of the present f. Then some steps of
+preconditioned conjugate gradients (PCG) go towards the solution of
 
     (A' w A + grad' c grad) f = A' w g.
 
-The preconditioner consists of Wiener-like filters on overlapping tiles, each with its own scale:
-the blur is nearly constant in a tile, and what it takes away is what they give back. This is
-what makes it fast: without, ten times as many steps are not enough.
+The preconditioner consists of Wiener-like filters on overlapping tiles, each with its own scale. In
+a tile the blur is nearly constant, and the filter gives back what it takes away. Without the
+preconditioner, ten times as many steps are not enough.
 
-It is solved for in units of the picture's contrast, in which the constants below are meant.
+All is in units of the picture's contrast, also the constants below.
 
-Photographs do not fit (1) as simulations do: lenses, maps and depth edges are not what it says.
-What is left over of a first few rounds, beside what noise leaves over, tells; see `_misfit`. Then
-the misfit counts as more noise, which is smoothed away, and less of the blur is taken away.
+Photographs do not fit (1) as simulations do, because lenses, maps and depth edges are not exactly
+as it says. After a few rounds, the residual is compared with what noise leaves; see `_misfit`. The
+misfit then counts as more noise, which is smoothed away, and less of the blur is taken away.
 
-The picture is solved for on a domain that is larger than it by the reach of the PSF, where
-there are no data. Clipped highlights are data on one side only: they say nothing once A f is
-at least as bright.
+The domain is larger than the picture by the reach of the PSF; there are no data around the picture.
+Clipped highlights are data on one side only: they do not count once A f is at least as bright.
 """
 
 from __future__ import annotations
@@ -321,10 +320,10 @@ class Deconvolution:
         )
 
     def _weights(self, scales: Float32) -> Float32:
-        """Return the weights w of the data, (H, W, 1): noise over noise and what else is wrong.
+        """Return the weights w of the data, (H, W, 1): noise over noise and other errors.
 
-        As the heat equation has it, a scale that is wrong by d px changes g by about
-        d (dv/dr) / 2 laplace g, with the variance v(r) of the PSF, see `half_variance_slope`.
+        A scale that is wrong by d px changes g by about d (dv/dr) / 2 laplace g, by the heat
+        equation, with the variance v(r) of the PSF, see `half_variance_slope`.
         """
         weight = np.ones((*scales.shape, 1), np.float32)
         if self._sure is not None:
@@ -374,8 +373,8 @@ class Deconvolution:
     def _with_less_blur(self, scales: Float32, sharp: Float32) -> tuple[Float32, Float32]:
         """Reduce the scales where the result does not explain the picture, and start anew there.
 
-        Too small a scale leaves blur, but hardly an error; too large a one, or two depths under
-        one PSF, cannot be explained by any picture that is not full of rings.
+        Too small a scale leaves blur, but hardly an error. With too large a one, or two depths
+        under one PSF, only a picture full of rings would explain the data.
         """
         power = self._residual_power(sharp)
         expected = _GROSS * (self._noise_variance + _VISIBLE)

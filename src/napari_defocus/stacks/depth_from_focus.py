@@ -1,16 +1,16 @@
 """Depth from focus: where along a stack each place is sharp, by the power its planes share.
 
-A thin lens that is moved by equal steps blurs by r_z = k |z - z0| px in plane z. One scene is
-behind all planes, so that its local power S_f at a frequency f, which (5) does not know for a
-single picture, is the same in each of them: plane z should have S_f B_f(r_z) + n_f, with B the
-blur spectrum (6) and n that of the noise (7). What is seen there, P_zf, costs the deviance of
-(5) from a perfect fit,
+A thin lens that is moved by equal steps blurs by r_z = k |z - z0| px in plane z. All planes show
+one scene. So its local power S_f at a frequency f, which is unknown for a single picture, is the
+same in each of them. Plane z should have the power S_f B_f(r_z) + n_f, with the blur spectrum B (6)
+and the spectrum n of the noise (7). The power P_zf that is seen costs the deviance of (5) from a
+perfect fit,
 
     d = q - 1 - log q   with   q = P_zf / (S_f B_f(r_z) + n_f),
 
 and a place in focus at z0 costs the sum of d over planes and frequencies, with the best S_f.
-That is far sharper evidence than the curves of single pictures, which have to tell a blurred
-edge from a smooth thing; and it needs no resolution in frequency, so that windows can be small.
+That is far sharper evidence than the curves of single pictures, where a blurred edge and a smooth
+thing look alike. It needs no resolution in frequency, so windows can be small.
 Planes blurred by more than the family's largest scale count as blurred by that much.
 
 Frequencies are joined in rings (the same |f|), and both gradients are added. Memory grows by
@@ -209,8 +209,9 @@ class StackPower:
     def px_per_plane(self) -> float:
         """Find by how many px the blur grows from plane to plane; NaN without any texture.
 
-        The width of the peak that each ring's power has along the planes tells it: the rate with
-        the least deviance over the windows with the most texture, from a ladder of rates.
+        It follows from the width of the peak that each ring's power has along the planes. Of
+        several rates, the one with the least deviance over the windows with the most texture is
+        taken.
         """
         power, heard = self._some_with_texture()
         if not len(power):

@@ -1,14 +1,13 @@
-"""How bright each plane of a stack is against the others: measured where neighbours show the same.
+"""How bright each plane of a stack is, compared with the others.
 
-A lamp that flickers multiplies the light of a plane; what a camera adds stays. With o for that
-offset and g for the light of the next plane against this one, the next plane's mean over a square
-of 32 px is
+A lamp that flickers multiplies the light of a plane, but not the offset o that the camera adds. If
+the next plane has g times the light of this one, its mean over a square of 32 px is
 
     b = o + g (a - o)
 
-Squares are larger than most blur, which moves light but loses none. g is the median of what the
-squares say, by their light; o, the same for all planes, is what leaves the least, from 0 to the
-darkest place, and 0 unless that is clearly more.
+Squares are larger than most blur, which moves light but does not lose any. g is the median over the
+squares, weighted by their light. o is the same for all planes, from 0 to the darkest place: the
+offset that leaves the least difference, or 0 if it does not leave clearly less than 0 does.
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
 """A coherent position of best focus: labels of blocks, of pixels beside jumps, and between.
 
 A label is a position in the stack, a quarter of a plane from the next one. Labels are chosen as
-those of a blur map are, as the most likely state of a Markov random field with `depth_from_focus`
-as data term: a minimum of (14), with the pairwise term (15) per label step and the weights (16)
-from a picture that is sharp everywhere.
+those of a blur map are: as the most likely state of a Markov random field, a minimum of (14).
+`depth_from_focus` is its data term. The pairwise term (15) counts label steps, and the weights (16)
+come from a picture that is sharp everywhere.
 
-Beside clear jumps, windows see both sides, and the sharper texture wins. There each pixel is
-asked itself: how much less its focus measure, the energy of fine detail, is at a position than at
-the one where it is most.
-Blur never adds detail, but light from across an edge does: up to 12 px from a jump the peak was
-right at 86 to 98 % of the pixels, where the fit of the whole curve, which such light misleads,
-was at 70 to 86 % (noise 1e-6).
+Beside clear jumps, windows see both sides, and the sharper texture wins. There, each pixel has a
+data term of its own: how much its focus measure, the energy of fine detail, is below its peak at
+a position. Only the peak counts, because light from across an edge adds detail to other planes. Up
+to 12 px from a jump, the peak was right at 86 to 98 % of the pixels, and the fit of the whole curve
+at 70 to 86 % (noise 1e-6).
 """
 
 from __future__ import annotations
@@ -222,9 +221,9 @@ class FocusCostVolume:
     def confidence(self, position: Float32) -> Float32:
         """Return the probability that each position is within half a plane of the true one.
 
-        As `confidence_map` does for radii: from the share of the likelihood, limited in depth
-        and averaged over the neighbouring windows, that lies within half a plane of the
-        position. Without evidence it is the share of all positions that do.
+        It comes from the share of the likelihood within half a plane of the position, as
+        `confidence_map` does for radii. The likelihood is limited in depth and averaged over the
+        neighbouring windows. Without evidence, it is the share of all positions that are so near.
         """
         rows, columns = (
             np.rint(centers).astype(int)

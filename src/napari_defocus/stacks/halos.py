@@ -1,15 +1,15 @@
-"""Detail that is none: what the blur of something stronger beside a place shows there.
+"""False detail: light of something bright that blur spreads over its surroundings.
 
-Out of focus, the light of bright things spreads over their surroundings, and where it ends there
-are edges. Places with little detail of their own seem to be in focus in such a plane: islands
-beside highlights. The position and the growth of the radius tell which planes that can be: those
-in which the strongest detail within k |z - z0| px of a place reaches it. What they show there has
-to be more than a small part of that detail, or they have no say: the position is then told by the
-other planes, or by the surroundings, and the confidence knows.
+Out of focus, the light of bright things spreads over their surroundings, and has edges where it
+ends. Places with little detail of their own then seem to be in focus: islands beside highlights.
+Which planes these can be follows from the position and the growth of the radius: those in which the
+strongest detail within k |z - z0| px of a place reaches it. Such a plane counts only if it shows
+more than a small part of that detail. Otherwise the other planes decide, or the surroundings, and
+the confidence is lower.
 
-Only asked where a place says something else than the strongest detail around it. *Lost*: predicting
-the spread light itself, by blurring the sharpest pixels: real lenses leave rings, and pictures for
-a screen are no light, so that it was 10 times too weak on a circuit board.
+This is checked only where a place differs from the strongest detail around it. *Lost*: predicting
+the spread light itself, by blurring the sharpest pixels. Real lenses leave rings, and pictures for
+a screen are not proportional to light, so it was 10 times too weak on a circuit board.
 """
 
 from __future__ import annotations

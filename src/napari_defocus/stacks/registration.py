@@ -1,16 +1,16 @@
-"""How each plane of a stack lies on the one before, and how bright it is: measured.
+"""How each plane of a stack lies on the one before.
 
-Both planes show one scene, blurred differently. Blur by a PSF that is symmetric moves nothing, so
-that the cross-correlation of the same place in both has its peak where the place has gone. It is
-asked for in blocks: `skimage.registration.phase_cross_correlation`, to a fraction of a pixel. One
-similarity (shift, magnification, turn) is fitted to what the blocks say, by weights that leave out
-blocks that say something else; the second plane is laid on the first by it, and the blocks are
-asked again for what is left. How much blocks differ says how sure it is.
+Both planes show one scene, blurred differently. Blur by a symmetric PSF moves nothing. So the
+cross-correlation of one place in both planes has its peak where the place has moved to. It is
+computed in blocks, to a fraction of a pixel (`skimage.registration.phase_cross_correlation`). One
+similarity (shift, magnification, turn) is fitted to the blocks, with weights that leave out those
+that differ. The second plane is laid on the first, and the blocks measure what is left. How much
+the blocks differ says how sure the motion is.
 
-Plane to plane, because neighbours are blurred about alike. pystackreg, which compares whole
-planes, has no error to tell a motion from none by, and takes brightness for motion; an extra
-dependency for it was not worth it. Log-polar transforms are not needed: from plane to plane,
-magnifications of a few percent move the blocks by less than they are wide.
+Neighbouring planes are compared, because their blur is similar. pystackreg compares whole planes.
+It gives no error to tell a motion from none, and takes brightness for motion. Log-polar transforms
+are not needed: between neighbours, magnifications of a few percent move the blocks by less than
+their width.
 """
 
 from __future__ import annotations
