@@ -146,6 +146,10 @@ def test_the_commands_do_what_they_say_one_after_the_other(page, tmp_path, monke
         assert (tmp_path / folder / "table.csv").is_file()
 
 
+def test_readme_is_short():
+    assert PAGES["README.md"].count("\n") <= 150
+
+
 def test_the_manual_shows_most_commands():
     shown = {line.split()[1] for page in PAGES for line in commands_of(page)}
     assert shown >= {each.name for each in app.registered_commands} - {"demo"}

@@ -57,7 +57,7 @@ def options_from_file(ctx: typer.Context, path: Path | None) -> Path | None:
         ctx.default_map = {
             option: partial(_left_to_file, ctx, said, option, said.get(part, {}).get(key))
             for option, (part, key) in _places(str(ctx.info_name)).items()
-            # It is asked for, said or not, to see whether two are said.
+            # Always looked up, to notice a file that gives the noise twice.
             if key in said.get(part, {}) or option == "noise_variance"
         }
     return path

@@ -83,7 +83,7 @@ def simulate_defocus(
 
 
 def noise_for(noise_variance: float, rng: int | np.random.Generator | None) -> np.random.Generator:
-    """Check the noise that a simulation is asked for, and return where it comes from."""
+    """Check the noise of a simulation, and return its source."""
     takes = "a finite number from 0 up (to 1e15)"
     check_number("noise_variance", noise_variance, lambda v: 0 <= v <= 1e15, takes)
     try:

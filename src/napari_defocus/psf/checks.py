@@ -18,7 +18,7 @@ _LARGEST_SCALE = 10_000
 
 
 def checked_scale(scale: float) -> float:
-    """Check the scale that a kernel is asked for, in px; what is below 0 is a point, as 0 is."""
+    """Check the scale of a kernel, in px; scales below 0 are a point, as 0 is."""
     takes = f"a number of px up to {_LARGEST_SCALE}"
     check_number("scale", scale, lambda s: -math.inf < s <= _LARGEST_SCALE, takes)
     return max(float(scale), 0.0)

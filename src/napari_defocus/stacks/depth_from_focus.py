@@ -151,7 +151,7 @@ class RingBank:
 
 
 def heard_where(shares: list[Float32]) -> Mask:
-    """Return where planes have a say, (P, Z): where they know about as much as any plane does."""
+    """Return which planes count, (P, Z): those that know about as much as the best plane."""
     share = np.stack([each.ravel() for each in shares], axis=1)
     return share >= _ENOUGH * share.max(axis=1, keepdims=True)
 
@@ -232,7 +232,7 @@ class StackPower:
         return float(best)
 
     def peak(self) -> Float32:
-        """Return the most power of each window, in planes that have a say: (P,)."""
+        """Return the most power of each window, in planes that count: (P,)."""
         return self._peak_and_median()[0]
 
     def excess(self) -> Float64:
@@ -249,7 +249,7 @@ class StackPower:
         return np.einsum("pbz,b->pz", self.power, members / members.sum())
 
     def _peak_and_median(self) -> tuple[Float32, Float32]:
-        """Return the largest and the median power of each window, of planes that have a say."""
+        """Return the largest and the median power of each window, in planes that count."""
         mean = self.mean_power()
         if self.heard.all():
             return mean.max(axis=1), np.median(mean, axis=1)

@@ -112,7 +112,7 @@ class LazyCandidates:
         return self._of_windows("radii", CANDIDATES, search=self.estimation.search)
 
     def measure(self, wanted: Wanted, seeds: Any = None) -> dict[str, Any]:
-        """Return all that is asked for, by name: a dask array (..., H, W) each."""
+        """Return all results that are wanted, by name: a dask array (..., H, W) each."""
         return self.planes.each(
             lambda index: self._measured(index, wanted, None if seeds is None else seeds[index])
         )
