@@ -70,6 +70,8 @@ class BatchReport:
     left_out : dict of str to int
         How many files of the folders and patterns were left out, by their endings, such as ".txt".
         "result" counts results of this package, "folder" folders in a folder.
+    doubtful : int
+        How many rows say in their column "careful" why the picture tells little of its blur.
 
     Examples
     --------
@@ -81,6 +83,7 @@ class BatchReport:
     planes: int
     failed: int
     left_out: dict[str, int] = field(default_factory=dict, hash=False)
+    doubtful: int = 0
 
 
 def measure_batch(
@@ -335,7 +338,8 @@ class _Batch:
         csv, json_lines = self.folder.tables
         write_results({csv: in_csv(rows), json_lines: in_json_lines(rows)}, force=True)
         failures = sum(row["status"] == FAILED for row in rows)
-        return BatchReport(csv, len(rows), failures, self.left_out)
+        doubtful = sum(bool(row.get("careful")) for row in rows)
+        return BatchReport(csv, len(rows), failures, self.left_out, doubtful)
 
     def _work_off(self, client: Client, jobs: Iterator[Job]) -> None:
         """Do jobs, and those that come of them; what was at work when a worker died, alone."""

@@ -37,7 +37,7 @@ RESULTS = ("map", "confidence", "mask", "in_focus")
 COLUMNS = (
     *("source", "plane", "status", "error", "width", "height"),
     *_RADII.values(),
-    *("share_in_focus", "median_confidence", "share_sure", "noise_variance"),
+    *("share_in_focus", "median_confidence", "share_sure", "careful", "noise_variance"),
     *("intensity_low", "intensity_high", "contrast"),
     *("pixel_width_um", "pixel_height_um"),
     *RESULTS,

@@ -26,6 +26,8 @@ def _lines(facts: Facts) -> Iterator[str]:
     yield f"planes       {facts['planes'] - facts['failed']} of {facts['planes']} measured"
     if facts["left_out"]:
         yield f"left out     {told_left_out(facts['left_out'])}"
+    if facts["doubtful"]:
+        yield f"careful      {facts['doubtful']} may tell little of their blur; the table says why"
     yield f"time         {facts['seconds']:.1f} s"
     yield f"wrote        {facts['table']}"
 
@@ -132,6 +134,7 @@ def batch(
         "planes": report.planes,
         "failed": report.failed,
         "left_out": report.left_out,
+        "doubtful": report.doubtful,
     }
 
 
