@@ -55,7 +55,7 @@ def explain(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Tell why the blur map of IMAGE says what it says at one pixel."""
+    """Explain the blur map of IMAGE at one pixel."""
     from napari_defocus.likelihood.candidates import check_place
 
     outputs, files = [output] if output else [], Files(force=force)

@@ -69,7 +69,7 @@ def calibrate(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure what your lens makes of a point, from PICTUREs at a few settings of its focus."""
+    """Measure the shape that your lens makes of a point, at a few settings of its focus."""
     from napari_defocus.core.writing import check_results
     from napari_defocus.io.pictures import read_picture
 

@@ -51,7 +51,7 @@ def sample(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write a photograph of ours, to try the other commands on."""
+    """Write a bundled photograph, to try the other commands on."""
     check_endings([file], ".jpg", ".jpeg")
     Files(force=force).write({file: sample_path(name).read_bytes()})
     return {"sample": name, "author": AUTHORS[name], "files": [str(file)]}
@@ -77,7 +77,7 @@ def demonstrate(
     linearize: Linearize | None = MapSettings.linearize,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure a picture of ours; all results go into FOLDER.
+    """Measure a bundled photograph; all results go into FOLDER.
 
     Running it again overwrites its results.
     """
