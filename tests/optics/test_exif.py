@@ -48,6 +48,14 @@ def test_lens_is_read_from_a_photograph(photograph, name):
     )
 
 
+def test_lens_is_read_from_a_picture_of_a_phone(photograph, tmp_path):
+    pillow_heif = pytest.importorskip("pillow_heif")
+    exif = Image.open(photograph(**NOTED)).getexif().tobytes()
+    path = tmp_path / "photograph.heic"
+    pillow_heif.from_pillow(Image.new("RGB", (600, 400))).save(path, exif=exif)
+    assert ThinLens.from_exif(path) == ThinLens.from_exif(photograph(**NOTED))
+
+
 def test_what_is_given_wins(photograph):
     given = {**vars(PORTRAIT)}
     assert ThinLens.from_exif(photograph(**NOTED), **given) == PORTRAIT

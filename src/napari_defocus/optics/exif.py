@@ -93,10 +93,30 @@ def _read_exif(path: Path) -> tuple[Mapping[int, Any], tuple[int, int]]:
     except IsADirectoryError:
         reason = "it is a folder"
     except UnidentifiedImageError:
-        reason = "no EXIF is read from this kind of file (only PNG, JPEG, TIFF, WebP and BMP)"
+        noted = _read_heic_exif(path)
+        if noted is not None:
+            return noted
+        reason = (
+            "no EXIF is read from this kind of file (only PNG, JPEG, TIFF, WebP, BMP, and HEIC "
+            "with the extra heic)"
+        )
     except Exception as error:
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split())
     raise ValueError(f"cannot read {path}: {reason}")
+
+
+def _read_heic_exif(path: Path) -> tuple[Mapping[int, Any], tuple[int, int]] | None:
+    """Return what `_read_exif` does of a HEIC picture; None if it is none, or cannot be read."""
+    from PIL import ExifTags, Image
+
+    with suppress(Exception):
+        import pillow_heif
+
+        picture = pillow_heif.open_heif(path)
+        exif = Image.Exif()
+        exif.load(picture.info.get("exif") or b"")
+        return exif.get_ifd(ExifTags.IFD.Exif), picture.size
+    return None
 
 
 def _noted(exif: Mapping[int, Any], name: str) -> float | None:

@@ -127,7 +127,7 @@ class ThinLens:
         Parameters
         ----------
         path : path-like
-            A JPEG, TIFF, PNG, WebP or BMP file.
+            A JPEG, TIFF, PNG, WebP or BMP file; HEIC with the extra "heic".
         focal_length_mm, f_number, focus_distance_m, pixel_pitch_um : float, optional
             What the file does not note, or notes wrongly; see `ThinLens`.
         image_size : (int, int), optional

@@ -34,7 +34,7 @@ _SAME_SETTING = 0.05
 """px: pictures whose scales are closer are of one setting of the focus. Chosen by hand."""
 
 _HEADROOM = 1.01
-"""Factor beyond the largest value that becomes 1 for floats, so that no value counts as saturated.
+"""For floats, 1 stands for so many times their range, so that no value counts as saturated.
 Chosen by hand.
 """
 
