@@ -33,8 +33,8 @@ LINES_APART = 10.0
 
 PACKAGES_OF = {
     "demo": ["-e", "."],
-    "development": ["-e", ".[napari,large]", "--group", "test", "--group", "lint"],
-    "docs": ["-e", ".", "--group", "docs"],
+    "development": ["-e", ".[napari,large,heic,raw]", "--group", "test", "--group", "lint"],
+    "docs": ["-e", ".[large]", "--group", "docs"],
     "release": ["--group", "release"],
 }
 
@@ -98,7 +98,8 @@ def test(arguments):
 def lint(_arguments):
     install("development")
     checks = ["ruff", "check"], ["ruff", "format", "--check"], ["mypy"], ["lint-imports"]
-    return max([call(BIN / program, *options) for program, *options in checks])
+    results = [call(BIN / program, *options) for program, *options in checks]
+    return max(*results, call(PYTHON, Path("docs", "check_prose.py")))
 
 
 def docs(arguments):

@@ -23,7 +23,6 @@ extensions = [
     "import_graph",
     "mathml",
     "public_names",
-    "readme_links",
     "stale_pages",
     "terminal_reference",
 ]
@@ -73,8 +72,8 @@ html_theme_options = {
 }
 
 sphinx_gallery_conf = {
-    "examples_dirs": [f"gallery/{part}" for part in ("figures", "parameters", "limits")],
-    "gallery_dirs": [f"examples/{part}" for part in ("figures", "parameters", "limits")],
+    "examples_dirs": [f"gallery/{part}" for part in ("tasks", "parameters", "limits", "figures")],
+    "gallery_dirs": [f"examples/{part}" for part in ("tasks", "parameters", "limits", "figures")],
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
     "capture_repr": (),

@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
-EXTRAS = "napari", "large"
+EXTRAS = "napari", "large", "heic", "raw"
 
 
 def direct_requirements():

@@ -1,4 +1,4 @@
-"""What README.md prints works as it is printed, in that order, for whoever copies it."""
+"""What README.md and the manual print works as printed, in that order, for whoever copies it."""
 
 import re
 import shlex
@@ -17,35 +17,41 @@ import napari_defocus
 from napari_defocus import RestorationFit, Settings, simulate_defocus
 from napari_defocus.batch import cluster
 from napari_defocus.cli import sample as sample_commands
+from napari_defocus.cli.app import app
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    path.name: path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs" / "manual").glob("*.md")))
+}
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 PART = 300, 40, 644, 164
 """Of the bundled photograph: left, top, right, bottom; row 120 and column 340 are still in it."""
 
 PLACE = "120, 340", "120, 100"
-"""Row and column in README.md, and in half of the part."""
+"""Row and column on the pages, and in half of the part."""
 
 NOT_HERE = {".", "python3", "pip", "napari"}
 """Programs that are not started here: they install, or open a window."""
 
 
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.M | re.S)
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGES[page], re.M | re.S)
 
 
-def lines_of_shell():
-    """Return every command for a shell, in blocks of their own or indented."""
-    lines = re.findall(r"^```sh\n(.*?)^```|^    (napari-defocus [^\n]*)$", README, re.M | re.S)
-    whole = "\n".join(fenced or indented for fenced, indented in lines)
+def lines_of_shell(page):
+    """Return every command for a shell."""
+    whole = "\n".join(blocks(page, "sh"))
     return [line for line in whole.splitlines() if line.strip()]
 
 
-LINES = lines_of_shell()
-COMMANDS = [line for line in LINES if line.startswith("napari-defocus ")]
+def commands_of(page):
+    return [line for line in lines_of_shell(page) if line.startswith("napari-defocus ")]
+
+
+LINES = [line for page in PAGES for line in lines_of_shell(page)]
 
 
 def words_of(line, folder):
@@ -91,7 +97,7 @@ def save_store(path, planes, axes):
 
 @pytest.fixture
 def own_files(tmp_path, small_sample, gravel, defocused):
-    """The files that README.md says are the reader's own."""
+    """The files that the pages say are the reader's own."""
     width, height = small_sample.size
     marks = np.zeros((height, width), np.uint8)
     marks[60:70, 40:50], marks[5:15, 5:15] = 1, 2
@@ -125,17 +131,28 @@ def quick(monkeypatch):
 
 
 @pytest.mark.usefixtures("own_files", "quick")
-def test_the_commands_of_the_terminal_do_what_they_say_one_after_the_other(tmp_path, monkeypatch):
+@pytest.mark.parametrize("page", [page for page in PAGES if commands_of(page)])
+def test_the_commands_do_what_they_say_one_after_the_other(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert len(COMMANDS) >= 20
-    for line in COMMANDS:
+    if page == "lenses.md":
+        run("sample", "photo.jpg")
+    for line in commands_of(page):
         done = run(*words_of(line, tmp_path)[1:])
         assert done.exit_code == 0, f"{line}\n{done.output}"
-    written = set(names_in(tmp_path))
-    promised = set(re.findall(r"photo-[\w-]+\.\w+", README)) | {"regions.csv", "curve.png"}
-    assert len(promised) >= 9
-    assert promised <= written
-    assert (tmp_path / "measured" / "table.csv").is_file()
+    said = " ".join(lines_of_shell(page))
+    promised = set(re.findall(r"photo-[\w-]+\.\w+|(?<=-o )\w+\.\w+|regions\.csv", said))
+    assert promised <= set(names_in(tmp_path))
+    for folder in re.findall(r"batch .*-o (\w+)", said):
+        assert (tmp_path / folder / "table.csv").is_file()
+
+
+def test_readme_is_short():
+    assert PAGES["README.md"].count("\n") <= 150
+
+
+def test_the_manual_shows_most_commands():
+    shown = {line.split()[1] for page in PAGES for line in commands_of(page)}
+    assert shown >= {each.name for each in app.registered_commands} - {"demo"}
 
 
 def test_programs_that_are_named_are_those_that_an_installation_has():
@@ -143,7 +160,10 @@ def test_programs_that_are_named_are_those_that_an_installation_has():
     assert programs - NOT_HERE == {"napari-defocus"}
     scripts = {each.name for each in entry_points(group="console_scripts")}
     assert "napari-defocus" in scripts
-    assert LINES.index(". .venv/bin/activate") < LINES.index(COMMANDS[0]), "or it is not found"
+    for page in ("README.md", "commands.md"):
+        lines = lines_of_shell(page)
+        first = lines.index(commands_of(page)[0])
+        assert lines.index(". .venv/bin/activate") < first, "or it is not found"
     assert {line.split()[2] for line in LINES if line.startswith("python3 tasks.py")} == {
         "demo",
         "test",
@@ -158,25 +178,29 @@ def test_pip_installs_this_clone_and_extras_that_there_are():
         assert extra in PROJECT["optional-dependencies"]
 
 
-def test_the_scripts_run_one_after_the_other(tmp_path, small_sample, monkeypatch):
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
+def test_the_scripts_run_one_after_the_other(page, tmp_path, small_sample, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Settings().save("defocus.json")
     image = np.asarray(small_sample)[:, 150:300]
+    Image.fromarray(image).save("photo.jpg")
     texture = np.random.default_rng(0).uniform(0.1, 0.9, (96, 128)).astype(np.float32)
     names = {
-        "__name__": "readme",
+        "__name__": "page",
         "image": image,
         "seeds": np.zeros(image.shape[:2], np.uint8),
         "blur_maps": np.full((3, 48, 64), 2.0, np.float32),
         "pictures_of_a_point_source": lamps(),
         "stack": texture[None, None, :64, :80].repeat(2, axis=0),
+        "z_stack": texture[None, :64, :80].repeat(3, axis=0),
         "slide": dask.array.from_array(texture, chunks=64),
     }
     names["seeds"][60:70, 40:50] = 1
-    written = blocks("python")
-    assert len(written) >= 6
-    for block in written:
-        exec(compile(block.replace(*PLACE), "README.md", "exec"), names)
-    assert names["depth"].shape == names["sharp"].shape[:2] == image.shape[:2]
-    assert names["blur_maps"].shape == names["confidence"].shape == names["stack"].shape
-    assert "lens.npz" in names_in(tmp_path)
+    for block in blocks(page, "python"):
+        exec(compile(block.replace(*PLACE), page, "exec"), names)
+    if page == "scripts.md":
+        assert names["depth"].shape == names["sharp"].shape[:2] == image.shape[:2]
+    if page == "batches.md":
+        assert names["blur_maps"].shape == names["confidence"].shape == names["stack"].shape
+    if page == "lenses.md":
+        assert "lens.npz" in names_in(tmp_path)

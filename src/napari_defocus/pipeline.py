@@ -101,7 +101,9 @@ def find_blur(
     if map_file is not None:
         return read_map(map_file, confidence_file, settings, image.shape[:2])
     if confidence_file is not None:
-        raise ValueError(f"map_confidence is {confidence_file}; it takes the map that it is of too")
+        raise ValueError(
+            f"map_confidence is {confidence_file}; it needs the map that it belongs to, too"
+        )
     return measure_map(image, settings, intensity_range, progress)
 
 
@@ -276,13 +278,15 @@ def read_map(
     from napari_defocus.io.encoders import check_unit, description_in_tiff
 
     if settings.psf == AUTO:
-        raise ValueError("psf is 'auto', but map is given; it takes the lens that the map is of")
+        raise ValueError(
+            "psf is 'auto', but map is given; it takes the lens that the map was measured with"
+        )
     scales = _read_values(path, shape, "a blur map: values in px, as map writes them (.tif)")
     if path.suffix.lower() in (".tif", ".tiff"):
         check_unit(description_in_tiff(path), path)
     known = scales[~np.isnan(scales)]
     if not known.size:
-        raise ValueError(f"{path} has nothing but NaN; it takes a map that is known somewhere")
+        raise ValueError(f"{path} has only NaN; it takes a map with known pixels")
     if known.min() < 0 or np.isinf(known).any():
         raise ValueError(
             f"{path} has values from {known.min():g} to {known.max():g}; "

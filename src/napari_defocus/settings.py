@@ -38,13 +38,13 @@ COMPARED_PSFS = (
     "annulus:0.5",
     "gaussian",
 )
-"""The lenses that are compared unless others are named; each as `psf_from_text` reads it."""
+"""The lenses that are compared by default; each as `psf_from_text` reads it."""
 
 BLOCK_SIZE = 1024
-"""Side, in px, of the parts in which large pictures are worked on: memory is bounded by it."""
+"""Side, in px, of the parts in which large pictures are worked on. It bounds the memory."""
 
 CONFIDENT = 0.5
-"""The confidence from which on a pixel counts as sure, where shares of a picture are told."""
+"""A pixel counts as sure from this confidence on."""
 
 
 @dataclass(frozen=True, kw_only=True)

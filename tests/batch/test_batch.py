@@ -81,6 +81,13 @@ def measured(monkeypatch):
     return seen
 
 
+def test_row_of_a_picture_that_tells_little_says_why(tmp_path):
+    PIL.Image.fromarray(np.full((48, 60), 90, np.uint8)).save(tmp_path / "flat.png")
+    report = measure_batch(tmp_path / "flat.png", tmp_path / "out", settings=QUICK)
+    assert report.doubtful == 1
+    assert "All pixels have the same value" in rows_of(report)[0]["careful"]
+
+
 def test_maps_are_those_of_the_functions_and_rows_tell_of_them(photographs, tmp_path):
     wanted = {"confidence": True, "mask": True, "restore": True}
     report = measure_batch(photographs, tmp_path / "out", settings=QUICK, **wanted)
@@ -264,7 +271,7 @@ def test_what_is_there_is_not_overwritten_and_results_are_no_inputs(photographs,
     out = photographs
     (out / "maps").mkdir()
     (out / "maps" / "mine.tif").touch()
-    with pytest.raises(UnwritableResult, match="maps exists, and no batch of ours made it"):
+    with pytest.raises(UnwritableResult, match="maps exists, and no batch made it"):
         measure_batch(photographs, out, settings=QUICK)
     (out / "maps" / "mine.tif").unlink()
     pattern = photographs / "**" / "*"

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import fields
@@ -487,6 +488,35 @@ def test_picture_that_does_not_look_like_defocus_is_said_to(tmp_path, gravel, co
     assert "motion" in json.loads(run(command, path, "--json", "--force").stdout)["doubt"]
 
 
+@pytest.mark.parametrize(
+    ("pixels", "said"),
+    [
+        (np.full((10, 10), 90, np.uint8), ["smaller than one window", "the same value"]),
+        (np.arange(100, dtype=np.uint8).reshape(10, 10), ["smaller than one window"]),
+        (np.full((60, 80, 3), 255, np.uint8), ["the same value"]),
+    ],
+)
+def test_picture_that_can_tell_little_is_not_measured_without_a_word(
+    tmp_path, instant, pixels, said
+):
+    path = tmp_path / "p.png"
+    Image.fromarray(pixels).save(path)
+    result = run("map", path)
+    assert result.exit_code == 0, result.output
+    careful = [line for line in result.stdout.splitlines() if line.startswith("careful ")]
+    assert len(careful) == len(said)
+    assert all(words in line for words, line in zip(said, careful, strict=True))
+
+
+def test_what_counts_as_in_focus_is_said_with_the_share(picture, instant):
+    result = run("segment", picture, "--threshold", 1.5)
+    assert re.search(
+        r"^in focus     \d+\.\d % of the picture \(the mask: blur up to 1\.5 px\)$",
+        result.stdout,
+        re.M,
+    )
+
+
 def test_compare_psf_has_a_list_of_its_own(seen_through_a_mirror_lens):
     facts = json.loads(run("compare-psf", seen_through_a_mirror_lens, "--json").stdout)
     assert {row["psf"] for row in facts["families"]} == set(COMPARED_PSFS)
@@ -610,7 +640,7 @@ def test_saved_settings_say_nothing_of_what_was_not_used(picture, instant):
     ("content", "saying"),
     [
         (None, "settings.json: there is no such file"),
-        ("{", "it is no JSON"),
+        ("{", "it is not JSON"),
         ('{"map": {"radius": 3}}', 'key of "map" "radius"; it takes noise_variance, psf'),
         ('{"map": {"max_radius": "3"}}', '"max_radius" of "map" is "3"; it takes a number'),
     ],
@@ -844,7 +874,7 @@ def test_failed_demo_leaves_no_folder_behind(tmp_path, instant, monkeypatch):
 
 def test_demo_into_what_is_no_folder(tmp_path, instant):
     (tmp_path / "file").touch()
-    assert_fails_in_one_line(run("demo", tmp_path / "file"), saying="is no folder")
+    assert_fails_in_one_line(run("demo", tmp_path / "file"), saying="is not a folder")
     assert_fails_in_one_line(run("demo", tmp_path / "none" / "new"), saying="there is no folder")
     assert names_in(tmp_path) == ["file"]
 

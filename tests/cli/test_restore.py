@@ -115,7 +115,7 @@ def test_restore_brings_back_details(tmp_path, gravel):
 
 def test_picture_that_does_not_fit_its_map_is_told(folder, instant):
     result = run("restore", folder / "p.png")
-    assert "lens or map may not fit (variance 7e-05): with more care" in result.stdout
+    assert "lens or map may not fit (variance 7e-05): less blur taken away" in result.stdout
 
 
 def test_restore_is_the_function_on_the_map_that_is_given(folder, ramp):
@@ -474,7 +474,7 @@ NO_MAPS = {
     "size.tif": (np.ones((HEIGHT, WIDTH - 1), np.float32), "59 x 48 px"),
     "levels.tif": (np.ones((HEIGHT, WIDTH), np.uint8), "holds no blur map"),
     "color.tif": (np.ones((HEIGHT, WIDTH, 3), np.float32), "holds no blur map"),
-    "nan.tif": (np.full((HEIGHT, WIDTH), np.nan, np.float32), "nothing but NaN"),
+    "nan.tif": (np.full((HEIGHT, WIDTH), np.nan, np.float32), "has only NaN"),
     "infinite.tif": (np.full((HEIGHT, WIDTH), np.inf, np.float32), "finite ones from 0 px"),
     "negative.tif": (np.full((HEIGHT, WIDTH), -1, np.float32), "finite ones from 0 px"),
     "none.tif": (None, "no such file"),

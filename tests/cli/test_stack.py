@@ -233,9 +233,9 @@ def test_stack_in_colour_is_no_stack_of_colours(tmp_path, small):
 @pytest.mark.parametrize(
     ("kind", "axes", "saying"),
     [
-        ("imagej", "cyx", "stack.tif has 7 along c, and channels are no planes through focus"),
-        ("ome-tiff", "cyx", "channels are no planes through focus"),
-        ("ome-zarr", "cyx", "channels are no planes through focus"),
+        ("imagej", "cyx", "stack.tif has 7 along c, and channels are not planes through focus"),
+        ("ome-tiff", "cyx", "channels are not planes through focus"),
+        ("ome-zarr", "cyx", "channels are not planes through focus"),
         ("ome-zarr", "tczyx", "has a single plane; it takes two or more along an axis such as z"),
         ("ome-tiff", "zCyx", "has 7 along z and 2 along c; --channel chooses one"),
         ("ome-zarr", "tCzyx", "has 2 along c and 7 along z; --channel chooses one"),
@@ -258,7 +258,7 @@ def test_what_does_not_say_which_planes_are_meant_is_told_how_to(
 
 def test_channel_of_a_store_is_known_by_its_type(tmp_path, small):
     path = write_ome_zarr(tmp_path / "s.zarr", small, "wyx", {"w": "channel"})
-    assert_fails_in_one_line(run("sharpest", path), saying="channels are no planes")
+    assert_fails_in_one_line(run("sharpest", path), saying="channels are not planes")
 
 
 @pytest.mark.parametrize(

@@ -95,9 +95,9 @@ def refusal_of(path):
 def test_what_is_no_picture_is_refused_with_the_reason(tmp_path, planes):
     assert "no such folder" in refusal_of(tmp_path / "none.zarr")
     (tmp_path / "file.zarr").write_text("text")
-    assert "no folder" in refusal_of(tmp_path / "file.zarr")
+    assert "not a folder" in refusal_of(tmp_path / "file.zarr")
     (tmp_path / "empty.zarr").mkdir()
-    assert "no OME-Zarr store" in refusal_of(tmp_path / "empty.zarr")
+    assert "not an OME-Zarr store" in refusal_of(tmp_path / "empty.zarr")
     zarr.create_group(tmp_path / "bare.zarr")
     assert "no multiscales" in refusal_of(tmp_path / "bare.zarr")
     store = store_of(tmp_path / "a.zarr", planes, "tcyx")

@@ -302,7 +302,7 @@ def test_killed_while_the_old_store_is_removed_the_new_one_stays(tmp_path, blur)
 def test_folder_of_something_else_is_never_replaced(tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "a.jpg").write_bytes(b"mine")
-    with pytest.raises(UnwritableResult, match="no Zarr store"):
+    with pytest.raises(UnwritableResult, match="not a Zarr store"):
         begun(tmp_path / "photos", force=True)
     with pytest.raises(UnwritableResult, match="there is no folder"):
         begun(tmp_path / "none" / "a.zarr")

@@ -390,9 +390,9 @@ def test_file_that_is_cut_off_after_it_was_opened_is_told(tmp_path, rng, compres
 
 def test_what_is_no_source_is_refused_with_the_reason(tmp_path, rng):
     assert "there is no such file" in refusal_of(tmp_path / "none.tif")
-    assert "no OME-Zarr store" in refusal_of(tmp_path)
+    assert "not an OME-Zarr store" in refusal_of(tmp_path)
     (tmp_path / "text.png").write_text("no picture")
-    assert "it is no picture" in refusal_of(tmp_path / "text.png")
+    assert "it is a text file; PNG, JPEG, TIFF" in refusal_of(tmp_path / "text.png")
     tifffile.imwrite(tmp_path / "c.tif", np.zeros((9, 9), np.complex64))
     assert "complex64; real numbers are read" in refusal_of(tmp_path / "c.tif")
     with tifffile.TiffWriter(tmp_path / "two.tif") as tiff:

@@ -92,7 +92,7 @@ def test_named_results_are_measured_if_they_show_a_scene_and_refused_if_not(ever
     quantities = sorted(mark_of(path).get("quantity", "a photo") for path in pictures)
     assert quantities == ["a photo", *["all-in-focus picture"] * 2, "refocused picture"]
     assert len(others) == 8
-    assert all("it is no picture, but a result of napari-defocus (" in each for each in others)
+    assert all("it is not a picture but a result of napari-defocus (" in each for each in others)
     assert any("(in-focus mask); folders, and patterns in quotation" in each for each in others)
 
 

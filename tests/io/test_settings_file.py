@@ -130,8 +130,8 @@ def test_px_of_a_lens_that_had_another_unit_once_are_not_read_as_radii(file):
 @pytest.mark.parametrize(
     ("content", "saying"),
     [
-        ("", "it is no JSON"),
-        ("{'map': {}}", "it is no JSON"),
+        ("", "it is not JSON"),
+        ("{'map': {}}", "it is not JSON"),
         ("[" * 100_000, "nested too deeply"),
         ("[1, 2]", r"it is \[1, 2\]; it takes an object"),
         ({"map": None}, '"map" is null; it takes an object'),
@@ -168,7 +168,7 @@ def test_what_cannot_be_is_refused_with_the_file_and_the_key(file, content, sayi
 
 def test_text_that_is_no_utf_8_is_refused(file):
     file.write_bytes(b'{"map": {"psf": "gr\xfcn"}}')
-    with pytest.raises(ValueError, match=r"settings\.json: it is no JSON, which is UTF-8"):
+    with pytest.raises(ValueError, match=r"settings\.json: it is not JSON, which is UTF-8"):
         Settings.load(file)
 
 

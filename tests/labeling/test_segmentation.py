@@ -96,7 +96,7 @@ def test_seeds_that_agree_or_say_nothing_change_nothing(ramp_picture, ramp_candi
         (np.zeros((160, 160, 3), int), ValueError, r"seeds has shape \(160, 160, 3\)"),
         (np.full((160, 160), 3), ValueError, "seeds has the value 3; it takes 0 .* 1 .* and 2"),
         (np.full((160, 160), -1), ValueError, "seeds has the value -1"),
-        ([[0, 1], [2]], ValueError, "seeds is no array"),
+        ([[0, 1], [2]], ValueError, "seeds is not an array"),
     ],
 )
 def test_bad_seeds_are_an_error_that_names_them(ramp_picture, ramp_candidates, seeds, error, words):
@@ -168,7 +168,9 @@ def test_flipped_and_transposed_pictures_have_the_flipped_mask(ramp_picture, ram
 
 @pytest.mark.parametrize("threshold", [-0.1, 8, 9, np.nan, np.inf])
 def test_threshold_lies_within_the_scales(ramp_picture, ramp_candidates, threshold):
-    with pytest.raises(ValueError, match=r"threshold is .* takes a scale from 0 to below 8 px"):
+    with pytest.raises(
+        ValueError, match=r"threshold is .* takes a blur radius from 0 to below 8 px"
+    ):
         segment_in_focus(ramp_candidates, ramp_picture, threshold=threshold)
 
 

@@ -48,6 +48,14 @@ def test_lens_is_read_from_a_photograph(photograph, name):
     )
 
 
+def test_lens_is_read_from_a_picture_of_a_phone(photograph, tmp_path):
+    pillow_heif = pytest.importorskip("pillow_heif")
+    exif = Image.open(photograph(**NOTED)).getexif().tobytes()
+    path = tmp_path / "photograph.heic"
+    pillow_heif.from_pillow(Image.new("RGB", (600, 400))).save(path, exif=exif)
+    assert ThinLens.from_exif(path) == ThinLens.from_exif(photograph(**NOTED))
+
+
 def test_what_is_given_wins(photograph):
     given = {**vars(PORTRAIT)}
     assert ThinLens.from_exif(photograph(**NOTED), **given) == PORTRAIT
@@ -190,8 +198,8 @@ def test_damaged_exif_is_missing(tmp_path, exif):
     [
         (lambda path: None, "there is no such file"),
         (lambda path: path.mkdir(), "it is a folder"),
-        (lambda path: path.write_text("no picture"), "it is no picture"),
-        (lambda path: path.write_bytes(b""), "it is no picture"),
+        (lambda path: path.write_text("no picture"), "no EXIF is read from this kind of file"),
+        (lambda path: path.write_bytes(b""), "no EXIF is read from this kind of file"),
     ],
 )
 def test_unreadable_file_is_a_value_error_with_the_reason(tmp_path, make, reason):

@@ -180,7 +180,7 @@ def test_lens_of_no_numbers_is_a_type_error(name, value):
     [
         ([-0.1, 1], "blur_map has values from -0.1 to 1; it takes finite ones from 0 px up"),
         ([np.nan, np.inf], "blur_map has values from inf to inf"),
-        ([[1.0], [1.0, 2.0]], "blur_map is no array"),
+        ([[1.0], [1.0, 2.0]], "blur_map is not an array"),
     ],
 )
 def test_impossible_blur_is_a_value_error(blur, words):

@@ -422,7 +422,7 @@ class TestMeasuredPSF:
             MeasuredPSF(*arguments)
 
     def test_provenance_is_what_json_can_hold(self):
-        with pytest.raises(TypeError, match="provenance is nothing that JSON can hold"):
+        with pytest.raises(TypeError, match="provenance does not fit into JSON"):
             measured_discs([1, 2], provenance={"pictures": np.ones(3)})
 
     def test_file_holds_all_of_it(self, tmp_path):
@@ -463,5 +463,5 @@ class TestMeasuredPSF:
         contents += [file.getvalue() for file in (foreign, pickled, array)]
         for content in contents:
             path.write_bytes(content)
-            with pytest.raises(ValueError, match=r"cannot read .*: it is no measured PSF, or"):
+            with pytest.raises(ValueError, match=r"cannot read .*: it is not a measured PSF, or"):
                 MeasuredPSF.load(path)

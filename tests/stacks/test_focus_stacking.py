@@ -325,7 +325,7 @@ PLATE = np.zeros((2, 4, 30, 40))
         (PLATE, {"axes": "czyx", "channel": 0.5}, TypeError, "channel is 0.5; it takes a whole"),
         (STACK, {"channel": 0}, ValueError, "channel is 0; stack has no axis c"),
         (STACK, {"axes": "tyx", "time": 0}, ValueError, "a single plane"),
-        (STACK, {"axes": "cyx"}, ValueError, "channels are no planes through focus"),
+        (STACK, {"axes": "cyx"}, ValueError, "channels are not planes through focus"),
         (STACK, {"axes": 3}, TypeError, "axes is 3; it takes a string"),
         (STACK[:3], {"axes": "syx"}, ValueError, "stack has a single plane"),
         (STACK, {"channel_axis": 1.5}, TypeError, "channel_axis is 1.5"),

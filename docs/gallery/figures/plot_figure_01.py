@@ -25,7 +25,7 @@ in_focus = segment_in_focus(candidates, picture)
 
 # %%
 # The radius is in px of the picture. Purple is sharp. The sky has no texture: what the map says
-# there was extrapolated from around, see :ref:`sphx_glr_examples_limits_plot_4_flat.py`.
+# there comes from around it, see :ref:`sphx_glr_examples_limits_plot_4_flat.py`.
 
 figure, axes = plt.subplots(3, 1, figsize=(6.4, 9.6))
 axes[0].imshow(picture)

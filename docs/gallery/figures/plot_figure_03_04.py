@@ -27,7 +27,7 @@ STRENGTHS = np.geomspace(1e-4, 1, 601)
 DEPTH = 60.0  # how far below its maximum log p is shown
 
 # %%
-# Half of its size makes the photograph as sharp as its pixels.
+# At half its size, the photograph is as sharp as its pixels.
 
 halves = astronaut().reshape(256, 2, 256, 2, 3).mean(axis=(1, 3))
 sharp = halves @ [0.299, 0.587, 0.114] / 255

@@ -4,9 +4,9 @@ Figures 5 and 6: where the likeliest radius is wrong
 
 If the best maximum is wrong, the second best is often right.
 
-Every window of a picture that was blurred by 5 px everywhere is asked. The likeliest radius is
-right nearly everywhere, but there are holes; there the second maximum mostly holds the truth. That
-is why the method keeps three candidates of every window, and lets the neighbours choose.
+A picture was blurred by 5 px everywhere, and every window of it is measured. The likeliest radius
+is right nearly everywhere, but there are holes. There, the second maximum is mostly the truth.
+That is why the method keeps three candidates of every window, and lets the neighbours choose.
 """
 
 import matplotlib as mpl
@@ -36,8 +36,8 @@ print(f"the best maximum is wrong by more than 0.5 px on {holes.mean():.1%} of t
 print(f"of these, the second is right on {(second[holes] <= 0.5).mean():.0%}")
 
 # %%
-# For Figure 6, take a window that is right at once, and two whose second maximum is right: deepest
-# within the parts of the picture of which that is true.
+# For Figure 6, take a window whose best maximum is right, and two whose second maximum is right.
+# Take each from the middle of a part of the picture where the same holds.
 
 row, column = np.meshgrid(candidates.row_centers, candidates.column_centers, indexing="ij")
 inside = np.minimum(row, row.max() - row) > 2 * REACH

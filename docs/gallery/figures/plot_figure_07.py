@@ -47,5 +47,5 @@ for each in axes:
 
 # %%
 # The paper's data term is deep and narrow: outside the kernel's reach, half a px from a candidate,
-# every radius costs the same. The default takes the whole curve instead, limited in depth. What
-# that is worth is in :doc:`/measured/ablation`.
+# every radius costs the same. The default takes the whole curve instead, limited in depth.
+# :doc:`/measured/ablation` says what that gains.

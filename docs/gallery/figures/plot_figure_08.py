@@ -5,7 +5,7 @@ Figure 8: blur that changes everywhere, measured and taken away
 A test with a known answer: how near are the map, and the picture without its blur?
 
 A picture in colour is blurred by a radius that grows from 0.9 to 5.1 px, with noise of variance
-1e-6. Nothing of that is told to the estimation. The paper reports a mean squared error of
+1e-6. The estimation knows nothing of that. The paper reports a mean squared error of
 0.022 px² for its picture, and a PSNR that rises from 27.3 to 32.3 dB.
 """
 

@@ -44,7 +44,7 @@ for axes in grid.flat:
 figure.colorbar(shown, ax=grid[:, 1], label="radius (px)", location="bottom", shrink=0.9, pad=0.02)
 
 # %%
-# Look closely, they are not all right. The handles on the right of the brushes and the cat's
+# Not all of them are right. The handles on the right of the brushes and the cat's
 # eyes have hardly any texture; the marigold's petals are one colour with a soft shade. The
 # confidence says so, see :ref:`sphx_glr_examples_limits_plot_4_flat.py`, and seeds correct a mask,
 # see :ref:`sphx_glr_examples_parameters_plot_7_mask.py`.

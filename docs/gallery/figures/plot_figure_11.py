@@ -5,7 +5,7 @@ Figure 11: what is in focus
 The binary cut on its own: sharp subjects cut out of their photographs.
 
 A mask needs candidates, but no map. It follows the picture's colour edges, so that outlines
-are much finer than the window. All settings are the defaults; the threshold is the paper's, 2 px.
+are much finer than the window. All settings are the defaults.
 The nuthatch is by Lukas Baubkus (*Kleiber*, CC-BY-SA-3.0, and so is this figure), the ladybird
 is from mate-backgrounds (GPL-2.0-or-later), the dandelion is by Clements Engelhardt (CC0).
 """

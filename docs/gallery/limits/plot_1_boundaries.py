@@ -4,9 +4,9 @@ Two depths in one window
 
 The paper's first problem: where a window sees two blurs, the sharper one wins.
 
-What is sharp has more power, so that sharp things grow by the radius of a window before labels are
-chosen, and the labelling has to bring the outline back to an edge of the picture. The default asks
-windows on each place's own side as well. Where there is no colour edge at the jump of the blur, an
+What is sharp has more power. So, before labels are chosen, sharp things look larger by the radius
+of a window. The labelling has to bring the outline back to an edge of the picture. The default
+also asks windows on each place's own side. Where the blur jumps and the colour does not, the
 outline is a guess.
 """
 

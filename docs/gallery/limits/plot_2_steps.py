@@ -2,11 +2,11 @@
 Steps where the blur changes slowly
 ===================================
 
-The paper's second problem: enough smoothness to snap to edges makes stairs of a slope.
+The paper's second problem: smoothness that is strong enough for edges turns a slope into stairs.
 
-A flat label costs nothing, a step costs by its height: where the blur changes slowly, labels stay
-the same for a while and then jump. The default fits a continuous map between the labels, with
-small second differences, which leaves slopes free.
+A flat label costs nothing, and a step costs as much as it is high. So, where the blur changes
+slowly, labels stay the same for a while and then jump. The default fits a continuous map between
+the labels. Only its second differences cost something, so that slopes are free.
 """
 
 import numpy as np
@@ -34,5 +34,5 @@ axes[2].set(title="row 100", xlabel="column (px)", ylabel="radius (px)")
 axes[2].legend()
 
 # %%
-# What is left of it in the default: bends and narrow valleys of the blur are flattened by up to a
-# few tenths of a px, see the steep bumps of :ref:`sphx_glr_examples_parameters_plot_6_mode.py`.
+# The default still flattens bends and narrow valleys of the blur by up to a few tenths of a px. See
+# the steep bumps of :ref:`sphx_glr_examples_parameters_plot_6_mode.py`.

@@ -2,11 +2,11 @@
 Thin things are cut off
 =======================
 
-The paper's third problem: an outline costs by its length, and thin things have much of it.
+The paper's third problem: an outline costs as much as it is long, and thin things have a long one.
 
 A sharp ball with arms of 16, 10, 6 and 3 px stands before a meadow that is blurred by 5 px. In the
-paper, the feathers of wings are cut off. What is narrower than a window has less to say than what
-surrounds it, and following it costs twice its length.
+paper, the feathers of wings are cut off. In the window of a thin thing, most pixels belong to what
+surrounds it. And an outline around a thin thing is twice as long as the thing.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ subjects = {
 }
 
 # %%
-# Once the ball has a colour that the meadow has not, and once it has the meadow's own.
+# First the ball has a colour that the meadow has not, then it has the meadow's own.
 
 figure, grid = plt.subplots(2, 3, figsize=(9.0, 6.0))
 for axes, (name, subject) in zip(grid, subjects.items(), strict=True):
@@ -65,7 +65,6 @@ for axes in grid.flat:
 figure.colorbar(shown, ax=grid[:, 1], label="radius (px)", shrink=0.7)
 
 # %%
-# Colour decides: with one of its own even the thinnest arm is in the mask. Without, arms fray, and
-# the thin ones are partly lost. In photographs, stems, twigs and whiskers before leaves of their
-# colour are of that kind; so is what is less sharp than the ball here. Seeds bring back what
-# matters.
+# Colour decides. If the arms have a colour of their own, even the thinnest is in the mask. If they
+# have not, the arms fray, and the thin ones are partly lost. The same happens in photographs to
+# stems, twigs and whiskers before leaves of their colour. Seeds bring back what matters to you.

@@ -2,11 +2,11 @@
 Flat is not sharp and not blurred
 =================================
 
-Without texture nothing can be known; the map is extrapolated from around.
+Where there is no texture, nothing can be known. The map is filled from around.
 
 A wall and a sky without any texture are painted into a picture that is blurred by 1 to 6 px. The
-map fills them from what surrounds them, rather from where the colours are the same. It cannot be
-right but by chance. The confidence says so, and ``return_extrapolated=True`` says where.
+map fills them from what surrounds them, mostly from where the colours are the same. It can only be
+right by chance. The confidence is low there, and ``return_extrapolated=True`` returns where.
 """
 
 import numpy as np

@@ -2,11 +2,12 @@
 Blurred by more than the largest radius
 =======================================
 
-What is blurred beyond the domain is some other radius, and the confidence does not say so.
+What is blurred by more than the largest radius gets a smaller one, and the confidence does not
+notice.
 
-A picture of 200 x 200 px can tell radii up to 16 px; here ``Disc(8.0)`` says to look for 8 px
-at most. A picture that is blurred by more is not reported as 8 px. A photograph still ends near
-the top of the domain; a texture of which nothing is left behind such a blur can end anywhere.
+In a picture of 200 x 200 px, radii up to 16 px can be found. Here ``Disc(8.0)`` limits the search
+to 8 px. A picture that is blurred by more is not reported as 8 px. A photograph gets a radius near
+8 px. A texture that such a blur wipes out can get any radius up to 8 px.
 """
 
 import numpy as np
@@ -41,6 +42,6 @@ axes[1].set(xlabel="true radius (px)", ylabel="mean confidence", ylim=(0, 1))
 axes[0].legend()
 
 # %%
-# The confidence is a probability under the model, of which the largest radius is a part. Leave the
-# largest radius as it is, and only small pictures end here:
+# The confidence is a probability under the model, and the largest radius is a part of the model. If
+# you leave the largest radius as it is, this happens to small pictures only:
 # :ref:`sphx_glr_examples_parameters_plot_3_lens.py`.

@@ -4,8 +4,8 @@ Motion is not defocus
 
 A picture that was moved is measured as if it was out of focus.
 
-The model knows discs, or whatever family you give, and nothing else. Motion takes away detail along
-one direction only; the method finds a radius that fits as well as one can.
+The model knows only discs, or the family that you give. Motion takes away detail along one
+direction only. The method finds the radius that fits best, although none fits well.
 """
 
 import numpy as np
@@ -35,5 +35,5 @@ for axes in grid.flat:
 figure.colorbar(shown, ax=grid[1], label="radius (px)", shrink=0.9)
 
 # %%
-# The true radius is 0 in all of them. The confidence is that of a model with defocus alone: do not
-# rely on it to find motion.
+# The true radius is 0 in all of them. The confidence belongs to a model that knows defocus only: do
+# not rely on it to find motion.

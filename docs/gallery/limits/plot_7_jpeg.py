@@ -4,9 +4,9 @@ JPEG
 
 Compression takes the finest detail away, and leaves blocks.
 
-What JPEG leaves out is what tells small radii apart, and what it leaves behind looks like detail.
-The steps of its quantization are read off the picture and count as noise. A ramp from 0.5 to 6 px,
-saved with several qualities:
+JPEG leaves out the detail that tells small radii apart, and the blocks that it leaves look like
+detail. The steps of its quantization are found from the picture and count as noise. The example is
+a ramp from 0.5 to 6 px, saved with several qualities:
 """
 
 import io
@@ -40,5 +40,5 @@ for axes in grid.flat:
 figure.colorbar(shown, ax=grid[1], label="radius (px)", shrink=0.9)
 
 # %%
-# If you can, measure raw data or PNG, before denoising and sharpening: both change the spectra that
-# all of this rests on.
+# If you can, measure raw data or PNG, before denoising and sharpening. Both change the spectra that
+# the measurement rests on.

@@ -4,7 +4,7 @@ Noise variance
 
 The parameter that matters most, and the one that you rarely have to set.
 
-Blur takes fine detail away, and noise puts some back: whoever measures one has to know the other.
+Blur takes fine detail away, and noise adds some. To measure one, you have to know the other.
 The noise variance is that of the luminance, for intensities from 0 to 1. By default it is found
 from the picture. Here a ramp from 1 to 6 px with noise of a known variance is measured with
 several.
@@ -40,12 +40,13 @@ for axes in grid.flat:
 figure.colorbar(shown, ax=grid, label="radius (px)", shrink=0.7)
 
 # %%
-# Too small a variance takes noise for detail, so that places with little texture go wrong; too
-# large a one takes detail for noise, and then little is left to tell radii apart.
+# With too small a variance, noise counts as detail, and places with little texture go wrong. With
+# too large a one, detail counts as noise, and little is left to tell radii apart.
 #
-# Give the variance if you know it: of a camera whose raw data you have, or of a picture with fine
-# texture that is sharp everywhere, which passes for noise. Counted photons make noise that grows
-# with the intensity. How much is found from the picture, and goes where a variance goes:
+# Give the variance if you know it, such as that of your camera's raw data. Fine texture that is
+# sharp everywhere looks like noise: there you have to give it. Counted photons make noise that
+# grows with the intensity. How fast it grows is found from the picture, and is given in place of a
+# variance:
 
 photons = seen.clip(0, 1) * 5000
 counted = np.random.default_rng(0).poisson(photons) / 5000

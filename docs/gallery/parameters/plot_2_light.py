@@ -2,10 +2,10 @@
 Linear light
 ============
 
-Blur mixes light; files hold encoded brightness.
+Blur mixes light, but files hold encoded brightness.
 
-A lens blurs radiance. A photograph in JPEG or PNG holds intensities encoded for screens (sRGB), in
-which the same blur is no longer a convolution: bright things spread farther than dark ones.
+A lens blurs radiance. A photograph in JPEG or PNG holds intensities that are encoded for screens
+(sRGB). In these, the same blur is not a convolution: bright things spread farther than dark ones.
 ``linearize="srgb"`` decodes first. It is off by default, because raw data, scans and microscopes
 are linear already.
 """

@@ -2,11 +2,12 @@
 Lens and largest radius
 =======================
 
-What a lens makes of a point, and how much of it is looked for.
+The shape that a lens makes of a point, and the largest radius that is looked for.
 
 Every family of PSFs is indexed by its blur radius in px: the radius of the disc with the same
-second moment, twice the standard deviation along an axis. An iris is nearly a disc; a mirror lens
-or a microscope at its diffraction limit is not, and then the wrong family makes errors of pixels.
+second moment, or twice the standard deviation along an axis. An iris is nearly a disc. A mirror
+lens, or a microscope at its diffraction limit, is not, and with the wrong family the map is wrong
+by pixels.
 """
 
 import numpy as np
@@ -38,8 +39,8 @@ for each, (name, family) in zip(axes, families.items(), strict=True):
     each.set_axis_off()
 
 # %%
-# The same ramp from 2 to 6 px, seen by each lens, and measured as if it was a disc and with its own
-# family. Px mean the same in all maps.
+# The same ramp from 2 to 6 px, seen by each lens. It is measured as if the lens made discs, and
+# with the lens's own family. The radius means the same in all maps.
 
 sharp = gravel()[:320, :320].reshape(160, 2, 160, 2).mean(axis=(1, 3)) / 255
 truth = np.broadcast_to(np.linspace(2, 6, 160), (160, 160))
@@ -52,15 +53,14 @@ for name, family in families.items():
     print(f"{name:12s} as a disc {as_disc:.2f} px, as itself {as_itself:.2f} px")
 
 # %%
-# Which family fits? The likelihood can tell, without ground truth.
+# Which family fits? The likelihood tells, without knowing the truth.
 
 print(compare_psf(seen["Annulus(0.5)"], list(families.values())))
 
 # %%
-# **Largest radius.** Wide blur is measured on the picture with averaged pixels, and joined with
-# what the picture itself says: up to 64 px, less in small pictures, whatever the blur. A larger
-# window does not do that. What is beyond the largest radius is shown in
-# :ref:`sphx_glr_examples_limits_plot_5_beyond.py`.
+# **Largest radius.** Wide blur is measured on the picture with averaged pixels, up to 64 px, and
+# up to less in small pictures. A larger window would not do that. What happens beyond the largest
+# radius is shown in :ref:`sphx_glr_examples_limits_plot_5_beyond.py`.
 
 photograph = astronaut().reshape(256, 2, 256, 2, 3).mean(axis=(1, 3)) / 255
 wide = np.broadcast_to(np.linspace(2, 14, 256), (256, 256))

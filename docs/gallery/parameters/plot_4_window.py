@@ -2,10 +2,11 @@
 Window and stride
 =================
 
-How much of the picture speaks for one place, and how densely places are asked.
+How much of the picture decides about one place, and how far apart these places are.
 
-A window of N x N px has to hold texture enough to tell radii apart, and is best at least four times
-the largest radius wide. A larger one is surer, and sees more of what lies beside the place.
+A window of N x N px must hold enough texture to tell radii apart. It works best if it is at least
+four times as wide as the largest radius. A larger one is surer, but sees more of what lies beside
+the place.
 """
 
 import time
@@ -39,9 +40,9 @@ for axes in grid.flat:
 figure.colorbar(shown, ax=grid, label="radius (px)", shrink=0.7)
 
 # %%
-# The stride is the distance between windows: half of it costs four times as much. The powers of a
-# window change slowly from place to place, so that little is gained; how much, differs from
-# picture to picture. Of a photograph behind a ramp:
+# The stride is the distance between windows. Half the stride costs four times as much, and gains
+# little, because neighbouring windows see nearly the same. On a photograph that was blurred by a
+# ramp:
 
 portrait = astronaut()[:400, 40:440].reshape(200, 2, 200, 2, 3).mean(axis=(1, 3)) / 255
 truth = np.broadcast_to(np.linspace(1, 6, 200), (200, 200))

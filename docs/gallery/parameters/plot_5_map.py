@@ -2,11 +2,11 @@
 Smoothness and colour step of the map
 =====================================
 
-How dearly the map pays for a change of the blur, and where it is cheap.
+How much a change of the blur costs, and where it costs less.
 
-*smoothness* is the price of 0.1 px of difference between neighbours, against what the windows say.
-*color_sigma* is how much their colours have to differ for a jump of the blur to become cheap. A
-sharp picture stands before a blurred one here.
+*smoothness* is the cost of a difference of 0.1 px between neighbours. It is weighed against what
+the windows say. *color_sigma* is how much the colours of neighbours must differ until a jump of
+the blur costs little. In the example, a sharp picture stands before a blurred one.
 """
 
 import numpy as np
@@ -44,13 +44,13 @@ def draw(settings):
 
 
 # %%
-# Too small a smoothness leaves what single windows got wrong; too large a one flattens and
-# swallows. The numbers are the mean error.
+# With too small a smoothness, errors of single windows stay. With too large a one, slopes become
+# flat and small things vanish. The numbers are the mean error.
 
 draw([{"smoothness": 1}, {"smoothness": 20}, {"smoothness": 400}])
 
 # %%
-# A colour step that is too small makes jumps cheap everywhere, even at texture; one that is too
-# large makes them equally dear everywhere, so that outlines do not follow the picture's edges.
+# If the colour step is too small, jumps cost little everywhere, even at texture. If it is too
+# large, jumps cost the same everywhere, and outlines do not follow the picture's edges.
 
 draw([{"color_sigma": 0.01}, {"color_sigma": 0.1}, {"color_sigma": 1.0}])

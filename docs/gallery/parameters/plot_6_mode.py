@@ -4,9 +4,9 @@ Mode: the paper's method, or what measurements added
 
 ``mode="paper"`` keeps to the paper; ``mode="curve"`` is the default.
 
-The default takes the whole likelihood curve instead of three candidates, expects that windows hold
-more than one scale, asks windows of each place's own side of edges, and makes the map continuous.
-:doc:`/measured/ablation` says what each step gains.
+The default takes the whole likelihood curve instead of three candidates. It expects that windows
+hold more than one radius. It asks windows on each place's own side of edges, and makes the map
+continuous. :doc:`/measured/ablation` says what each step gains.
 """
 
 import numpy as np

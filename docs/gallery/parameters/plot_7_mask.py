@@ -2,10 +2,10 @@
 Threshold, smoothness and seeds of the mask
 ===========================================
 
-How much blur counts as in focus is for you to say; what is wrong even so, seeds correct.
+You say how much blur counts as in focus, and seeds correct what is still wrong.
 
-The brushes (*Picture 1A*, freespace, CC-BY-4.0), at half their size. The mask is cut from the same
-candidates each time, in a fraction of a second.
+The pictures show the brushes (*Picture 1A*, freespace, CC-BY-4.0), at half their
+size. The mask is cut from the same candidates each time, in a fraction of a second.
 """
 
 from importlib.resources import files
@@ -37,19 +37,20 @@ def draw(settings):
 draw([{"threshold": 0.6}, {"threshold": 1.0}, {"threshold": 2.0}])
 
 # %%
-# **Smoothness**: how dear an outline is. Small: frayed, small things stay. Large: calm, they go.
+# **Smoothness**: how much an outline costs. If it is small, outlines fray and small things stay. If
+# it is large, outlines are smooth and small things vanish.
 
 draw([{"smoothness": 30}, {"smoothness": 1000}, {"smoothness": 20000}])
 
 # %%
-# **Colour step**: small ties the outline to faint edges of the picture.
+# **Colour step**: if it is small, the outline follows faint edges of the picture.
 
 draw([{"color_sigma": 0.01}, {"color_sigma": 0.04}, {"color_sigma": 0.4}])
 
 # %%
-# **Seeds**: 1 is in focus, 2 is blurred, 0 is not known. These pixels hold, and their surroundings
-# follow up to the picture's edges. At a threshold of 1 px the tips of the blue bristles are
-# missed; a stroke of 1 brings them back.
+# **Seeds**: 1 is in focus, 2 is blurred, 0 is not known. The mask keeps to these pixels, and their
+# surroundings follow up to the picture's edges. At a threshold of 1 px, the tips of the blue
+# bristles are missed. A stroke of 1 brings them back.
 
 seeds = np.zeros(picture.shape[:2], int)
 seeds[15:25, 20:95] = 1

@@ -2,11 +2,11 @@
 Risk and smoothing of the restoration
 =====================================
 
-How much blur is taken away, and how much noise is let through.
+How much blur is taken away, and how much noise is left.
 
-Too large a radius makes rings, too small a one leaves some blur: errors do not weigh the same.
-`risk` says how likely it may be that more is taken away than there was. `tv_weight` is lambda of
-(19), found from the noise if it is not given.
+Too small a radius leaves some blur. Too large a radius makes rings, which look worse. `risk` is the
+probability of the worse error that you accept: that more blur is taken away than there was.
+`tv_weight` is lambda of (19). It is found from the noise if you do not give it.
 """
 
 import numpy as np
@@ -59,7 +59,7 @@ draw(
 )
 
 # %%
-# **Smoothing.** Small weights keep detail and noise, large ones take both.
+# **Smoothing.** Small weights keep detail and noise, large ones remove both.
 
 safe = cautious_blur_map(candidates, blur_map)
 draw(

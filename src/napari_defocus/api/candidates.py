@@ -74,27 +74,26 @@ def estimate_candidates(
 ) -> BlurCandidates | LazyCandidates:
     """Estimate which blur scales are likely around every place of a picture.
 
-    Sections II and III-A of [1]_: Gabor filters give the local power spectra of both gradients
-    of the luminance (4); under white Gaussian gradients of unknown variance s behind a PSF of
-    scale r, and white noise, each power is exponentially distributed (5); the profile
-    likelihood (9) is evaluated on a lattice of scales, s by the fixed point (11), and its
-    local maxima are refined in the continuous domain by Newton steps on look-up tables.
+    This is Sections II and III-A of [1]_. Gabor filters give the local power spectra of both
+    gradients of the luminance (4). The gradients of the sharp picture are taken to be white and
+    Gaussian, with an unknown variance s, and the noise to be white. Then each power is
+    exponentially distributed (5). The profile likelihood (9) is evaluated on a lattice of scales,
+    with s from the fixed point (11). Newton steps refine its local maxima between the scales.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
-        Any real dtype, in any range: k * image + b has the same candidates. What is not known
-        carries no evidence: pixels that are NaN, masked (numpy.ma), or fully transparent, where
-        a fourth channel is opacity. A stack of pictures if `axes` says so.
+        Any real dtype, in any range: k * image + b has the same candidates. A fourth channel is
+        opacity. Pixels that are NaN, masked (numpy.ma) or fully transparent are not known, and
+        count for nothing. With `axes`, it is a stack of pictures.
     psf : PSFFamily or callable or "auto", optional
-        The family of PSFs; a disc by default. Its largest scale, 64 px by default, is looked for as
-        far as the picture's size allows: a picture whose shorter side is below 656 px is searched
-        up to 32 px, below 328 px up to 16, below 164 px up to 8 (windows of 41 px); what it was is
-        in `BlurCandidates.psf`. A function from a scale in px, up to 8, to a kernel is a family
-        too. "auto" lets the picture choose: a Gaussian or a ring of
-        obstruction 0.3 or 0.5 if it clearly shows one, else a disc
-        (`BlurCandidates.psf`, `BlurCandidates.psf_choice`); one for all planes of a stack. With
-        another largest radius, `AutomaticPSF`.
+        The family of PSFs; a disc by default. Its largest scale is 64 px by default. Small
+        pictures are searched up to less: 32 px if their shorter side is below 656 px, 16 px below
+        328 px, 8 px below 164 px (for windows of 41 px). `BlurCandidates.psf` has the largest scale
+        that was searched. A function from a scale in px, up to 8, to a kernel is a family as
+        well. "auto" lets the picture choose: a Gaussian or a ring of obstruction 0.3 or 0.5 if it
+        clearly shows one, and otherwise a disc. `BlurCandidates.psf_choice` says which. The planes
+        of a stack share one family. `AutomaticPSF` chooses with another largest radius.
     noise_variance : float or ShotNoise, optional
         Variance of the noise in the luminance, intensities in [0, 1] (see `intensity_range`),
         or how it grows with the intensity. By default it is found from the picture, see
@@ -105,51 +104,51 @@ def estimate_candidates(
         Distance between analysed windows in px. The powers are band-limited by their window:
         4 loses nothing; 1 is the reference.
     mode : {"curve", "paper"}, optional
-        "paper" is the likelihood (5) as it stands. "curve" expects that windows hold more than
-        one scale, and divides each gradient's logarithm of it by the dispersion, which limits
-        what windows say that the model does not fit.
+        "paper" is the likelihood (5). "curve" expects that windows hold more than one scale. It
+        also divides the logarithm of each gradient's likelihood by its dispersion, so that
+        windows that do not fit the model count for less.
     spectra : {"exact", "fitted"}, optional
-        Blur spectra (6) tabulated from the family at every scale, or as the fit (12).
+        Whether the blur spectra (6) are tabulated from the family at every scale, or fitted (12).
     search : {"lattice", "fixed-point"}, optional
-        How the local maxima are found: among all scales of the curve, then by Newton steps; or
-        as in the paper, by the fixed point (11) and (13) from whole px, much slower.
+        How the local maxima are found. "lattice" looks at all scales of the curve, and then takes
+        Newton steps. "fixed-point" is the paper's way, much slower: (11) and (13) from whole px.
     camera_softness : float, optional
-        Standard deviation, in px, of the blur that the camera has of its own: optics, diffraction,
-        pixels, demosaicking. Scales are the defocus beyond it; 0 is as sharp as the camera can be.
-        Not used in the mode "paper".
+        Standard deviation, in px, of the camera's own blur: optics, diffraction, pixels,
+        demosaicking. Scales are the defocus beyond it, so 0 is as sharp as the camera can be. It
+        is not used in the mode "paper".
     linearize : {"srgb"}, optional
         Decode the intensities into linear light first. Blur is linear in radiance; pictures
         for displays are not.
     intensity_range : (float, float), optional
-        The intensities that count as 0 and 1, and the picture's contrast. By default they are
-        found and told (`BlurCandidates.intensities`): integers of 8 and 16 bits are scaled by
-        their dtype's range, floats that hardly leave [0, 1] are taken as they are. Other floats
-        and wider integers are scaled to [0, 1] from 0 to 255 or from 0 to 65535 if they are
-        whole numbers that fit, else from the smallest to the largest value.
+        The intensities that count as 0 and 1, and as the picture's contrast. By default they are
+        found; `BlurCandidates.intensities` has them. For integers of 8 and 16 bits, they are the
+        range of the dtype. Floats that hardly leave [0, 1] are not scaled. Other floats and wider
+        integers are scaled from 0 to 255, or from 0 to 65535, if they are whole numbers that fit,
+        and otherwise from the smallest to the largest value.
     axes : str, optional
         A letter for each axis of `image`: y, x, s for colours, any others for planes, such as
         "tzyx". Each plane is a picture of its own.
     channel_axis : int, optional
-        Old: the axis of the colours; `axes` says it.
+        The axis of the colours. Deprecated: use `axes`.
     block_size : int, optional
-        Side, in px, of the parts in which planes of stacks and dask arrays are worked on;
-        memory is bounded by it.
+        Side, in px, of the parts in which planes of stacks and dask arrays are worked on. It
+        bounds the memory.
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
 
     Returns
     -------
     BlurCandidates or LazyCandidates
-        The latter of stacks and dask arrays: what the other functions take instead.
+        LazyCandidates for stacks and dask arrays. The other functions take both.
 
     Raises
     ------
     TypeError
         If `image` has no real dtype.
     ValueError
-        If `image` has another shape, a side below 3 px or infinite values; if
-        `noise_variance` is negative; if `mode`, `spectra`, `search` or `linearize` is unknown;
-        if `window` is no odd number from 17 up, or `stride` is not within 1 to `window`.
+        If `image` has another shape, a side below 3 px or infinite values. If
+        `noise_variance` is negative, or `mode`, `spectra`, `search` or `linearize` is unknown.
+        If `window` is not an odd number from 17 up, or `stride` is not within 1 to `window`.
 
     References
     ----------
@@ -169,7 +168,7 @@ def estimate_candidates(
     if not isinstance(noise_variance, ShotNoise):
         check_noise_variance(noise_variance)
     check_search(search)
-    # What is no family is told by `Estimation`.
+    # What is not a family is told by `Estimation`.
     lens: Any = AutomaticPSF() if isinstance(psf, str) and psf == AUTO else psf
     how = Estimation(
         lens, window, stride, mode, spectra, search, linearize, intensity_range, camera_softness

@@ -79,16 +79,17 @@ def estimate_blur_map(
 ) -> Float32 | tuple[Float32, Float32]:
     """Measure the defocus blur at every pixel: candidates, then labels.
 
-    Of a dask array, results are dask arrays, which are computed part by part when they are asked
-    for, by any of dask's schedulers; of a stack, plane by plane. Memory is bounded by
-    `block_size`, not by the picture. A plane of one part has exactly the map that it has as an
-    array; of larger ones, candidates are exactly the same and maps differ by 0.02 px or less.
+    A stack is measured plane by plane. For a dask array, the results are dask arrays, which any of
+    dask's schedulers computes part by part when they are asked for. Memory is bounded by
+    `block_size`, not by the picture. A plane that fits into one part has exactly the map that it
+    has as an array. Larger planes have exactly the same candidates, and maps that differ by 0.02 px
+    or less.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
         Any real dtype, in any range: k * image + b has the same map. NaN, masked and fully
-        transparent pixels are not known. A stack if `axes` says so.
+        transparent pixels are not known. With `axes`, it is a stack.
     psf, noise_variance, window, stride, linearize, camera_softness, mode
         See `estimate_candidates`.
     smoothness, color_sigma
@@ -105,8 +106,8 @@ def estimate_blur_map(
     Returns
     -------
     blur_map : (H, W) float32 ndarray
-        Blur scale in px: the radius, for `Disc`. Of a stack (..., H, W), its planes' axes first,
-        and a dask array if one came in.
+        Blur scale in px, which is the radius for `Disc`. For a stack it is (..., H, W), with the
+        axes of the planes first. It is a dask array if `image` is one.
     confidence : (H, W) float32 ndarray
         In [0, 1]; only with `return_confidence`.
 
@@ -200,18 +201,18 @@ def label_blur_map(
 ) -> Float32 | tuple[Float32, NDArray[np.bool_]]:
     """Choose one blur scale at every pixel: likely, smooth, and free to jump at colour edges.
 
-    Section III-B of the paper [1]_: minimises (14) with the penalty (15) on differences of
-    labels 0.1 px apart and the colour-dependent weights (16) over 8 neighbours, by minimum
-    cuts. Where there is no texture, the blur is extrapolated from around, rather from where
-    the colours are the same.
+    This is Section III-B of the paper [1]_. Minimum cuts minimise (14), with the penalty (15) on
+    differences of labels 0.1 px apart, and with weights (16) that depend on the colours of 8
+    neighbours. Where there is no texture, the blur comes from around, mostly from where the
+    colours are the same.
 
     Parameters
     ----------
     candidates : BlurCandidates or LazyCandidates
-        From `estimate_candidates` on the same picture. Their mode decides: "paper" takes the
-        artificial likelihood of three candidates, labelled by expansion moves; "curve" the
-        whole likelihood curve, which follows steep blur better, of each window's own side of
-        edges, labelled from coarse to fine, which is faster, and made continuous.
+        From `estimate_candidates` on the same picture. Their mode decides. "paper" takes the
+        artificial likelihood of three candidates and expansion moves. "curve" takes the whole
+        likelihood curve, of each window's own side of an edge. It labels from coarse to fine,
+        which is faster, and makes the map continuous.
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its colours.
     smoothness : float, optional
@@ -231,8 +232,8 @@ def label_blur_map(
     Returns
     -------
     blur_map : (H, W) float32 ndarray
-        Blur scale in px: the radius, for `Disc`. Of a stack (..., H, W), and a dask array if
-        one came in.
+        Blur scale in px, which is the radius for `Disc`. For a stack it is (..., H, W), and for
+        a dask array a dask array.
     extrapolated : (H, W) bool ndarray
         True where there is no evidence; only with `return_extrapolated`.
 
@@ -241,7 +242,7 @@ def label_blur_map(
     TypeError
         If `image` has no real dtype.
     ValueError
-        If `image` is no picture (see `estimate_candidates`) or another one than that of
+        If `image` is not a picture (see `estimate_candidates`) or another one than that of
         `candidates`, if `smoothness` is negative or `color_sigma` not positive.
 
     References
@@ -285,19 +286,22 @@ def confidence_map(candidates: LazyCandidates, blur_map: Any) -> Any: ...
 def confidence_map(candidates: BlurCandidates | LazyCandidates, blur_map: ArrayLike) -> Float32:
     """Return the probability that each radius of a blur map is right.
 
-    That is within 0.5 px of the true one, beyond 5 px within a tenth of the map's value. The
-    confidence comes from the curve log p(r), averaged over the neighbouring windows that the map
-    was made coherent with: what share of the likelihood lies within that tolerance, how deep the
-    curve is, how far away its best radius lies. It also counts the largest difference that the map
-    has within 31 px, whether the radius can be told from a camera's own softness, the noise and the
-    power relative to it, and whether all windows nearby prefer one direction, as after motion. A
-    logistic function of these was fitted once on simulations of many kinds and on six photographs
-    with measured radii. Where the curve is flat, because there is no texture, the confidence is
-    the share of all radii that lie within the tolerance: 0.14 at most for radii up to 8 px, less
-    for larger domains.
+    Right means within 0.5 px of the true radius, and beyond 5 px within a tenth of the map's
+    value. The confidence is a logistic function of eight numbers of each window. It was fitted
+    once, on simulations of many kinds and on six photographs with measured radii.
 
-    It does not know that a lens is another one than the assumed: see `compare_psf`. What
-    `BlurCandidates.doubt` says holds for all of the picture.
+    Three of the numbers come from the curve log p(r), averaged over neighbouring windows: the share
+    of the likelihood within the tolerance, the depth of the curve, and the distance of its best
+    radius. The others are the largest difference that the map has within 31 px, whether the radius
+    can be told from a camera's own softness, the noise, the power relative to it, and whether all
+    windows nearby prefer one direction, as after motion.
+
+    Where there is no texture, the curve is flat. There, the confidence is the share of all radii
+    that lie within the tolerance: at most 0.14 for radii up to 8 px, less if larger ones are
+    searched.
+
+    The confidence does not know that the lens is another one than assumed: see `compare_psf`.
+    `BlurCandidates.doubt` is about the whole picture, and not part of the confidence.
 
     Parameters
     ----------
@@ -351,12 +355,12 @@ def cautious_blur_map(
 ) -> Float32:
     """Return how much of the blur of a map is safe to take away.
 
-    Too large a radius makes rings and halos when blur is taken away, too small a one leaves some
-    of it. So the smallest radius is taken that the true one is below with a probability of at
-    most `risk`: the map's own if what the curve log p(r) says of radii more than 0.5 px below
-    it, beside the map's confidence, is not more than that; else a quantile of the curve. Edges
-    without texture, which often fit two radii, are treated as the sharper of them. What is taken
-    off is smoothed over 8 px.
+    Too small a radius leaves some blur. Too large a radius makes rings and halos, which is worse.
+    So the radius is lowered until the true one is smaller with a probability of at most `risk`. The
+    probability comes from the curve log p(r) and the map's confidence: if radii more than 0.5 px
+    below the map's are unlikely enough, the map's radius stays, and otherwise a quantile of the
+    curve is taken. Edges without texture often fit two radii; the smaller one counts. The reduction
+    is smoothed over 8 px.
 
     Parameters
     ----------
@@ -365,12 +369,13 @@ def cautious_blur_map(
     blur_map : (H, W) array_like
         From `label_blur_map` with these candidates, in px.
     risk : float, optional
-        From 0, nothing is safe, to 1, the map as it is.
+        From 0 (nothing is safe) to 1 (the unchanged map).
 
     Returns
     -------
     (H, W) float32 ndarray
-        Scale in px, nowhere above the map: for `restore_all_in_focus`, no measurement.
+        Scale in px, nowhere above the map. It is meant for `restore_all_in_focus` and is not a
+        measurement.
 
     Raises
     ------

@@ -60,14 +60,15 @@ def segment_in_focus(
 ) -> NDArray[np.uint8]:
     """Separate what is in focus from what is blurred.
 
-    Minimises (17): being in focus costs what the best scale up to `threshold` costs, being
-    blurred what the best scale above it costs (18), and a boundary costs least along edges of
-    colour (16). Pixels of `seeds` are as they say, and draw those around them along.
+    A minimum cut minimises (17). Being in focus costs what the best scale up to `threshold` costs,
+    and being blurred what the best scale above it costs (18). A boundary costs least along edges of
+    colour (16). The mask keeps to `seeds`, and what is around them follows.
 
     Parameters
     ----------
     candidates : BlurCandidates or LazyCandidates
-        From `estimate_candidates` on the same picture. Other settings here need no new ones.
+        From `estimate_candidates` on the same picture. The same candidates serve for all
+        settings below.
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its colours.
     threshold : float, optional
@@ -77,7 +78,7 @@ def segment_in_focus(
     color_sigma : float, optional
         sigma_lambda of (16), as a share of the picture's contrast.
     seeds : (H, W) integer array_like, optional
-        What is known: 1 in focus, 2 blurred, 0 not known. The mask is never otherwise there.
+        What is known: 1 in focus, 2 blurred, 0 not known. The mask always keeps to it.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1; those of `candidates` if left out.
     progress : callable, optional
@@ -86,17 +87,17 @@ def segment_in_focus(
     Returns
     -------
     (H, W) uint8 ndarray
-        1 in focus, 0 blurred. Of a stack (..., H, W), and a dask array if one came in.
+        1 in focus, 0 blurred. For a stack it is (..., H, W), and for a dask array a dask array.
 
     Raises
     ------
     TypeError
-        If `image` has no real dtype, or `seeds` no integers.
+        If `image` has no real dtype, or `seeds` holds other values than integers.
     ValueError
-        If `image` is no picture (see `estimate_candidates`) or another one than that of
-        `candidates`, if `threshold` is not within the scales of `candidates`, `smoothness`
-        negative or `color_sigma` not positive, or if `seeds` has another shape than the
-        picture or other values.
+        If `image` is not a picture (see `estimate_candidates`), or not that of `candidates`. If
+        `threshold` is not within the scales of `candidates`, `smoothness` is negative, or
+        `color_sigma` is not positive. If `seeds` has another shape than the picture, or other
+        values.
 
     Examples
     --------

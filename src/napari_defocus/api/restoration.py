@@ -75,40 +75,39 @@ def restore_all_in_focus(
     """Take the blur of a map away: minimise (19).
 
     ``sum_x w_x |(h_x * f)[x] - g[x]|^2 + lambda sum_x |grad f[x]|``, the total variation over both
-    directions and all channels together. With an exact map, f is as good as the data allow. An
-    estimated one is best softened, because too large a radius makes rings: give
-    ``cautious_blur_map(candidates, blur_map)`` instead of the map, and its `confidence`.
+    directions and all channels together. With an exact map, f is as good as the data allow. If the
+    map is estimated, give ``cautious_blur_map(candidates, blur_map)`` instead, and the
+    `confidence`: too large a radius makes rings.
 
-    Photographs rarely fit their map as simulations do. If the first rounds leave over more than
-    noise explains, the misfit m counts as more noise: in w, and in lambda, to which 30 m is added.
-    Then two pictures are averaged, for scales that are lowered by 0.25 and by 1.25 standard
-    deviations of what the confidence says; and the fine texture that they do not explain is
-    given back. m is at most 0.0075 of the picture's variance, see `RestorationFit`. Of a picture
-    in tiles, each tile finds its own m.
+    Photographs rarely fit their map as simulations do. If the first rounds leave more than noise
+    explains, the misfit m counts as more noise: it enters w, and 30 m is added to lambda. Then two
+    pictures are averaged, whose scales are lowered by 0.25 and by 1.25 of the standard deviation
+    that follows from the confidence. The fine texture that they do not explain is added again. m
+    is at most 0.0075 of the picture's variance, see `RestorationFit`. If a picture is restored in
+    tiles, each tile finds its own m.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like, or dask.array.Array
-        Any real dtype, see `estimate_candidates`. A stack if `axes` says so,
-        then `blur_map` and `confidence` are (..., H, W), as `estimate_blur_map` gives them.
-        Pixels that are not known are no data: opacity comes back as it was, and NaN or masked
-        pixels are NaN.
+        Any real dtype, see `estimate_candidates`. With `axes`, it is a stack; then `blur_map` and
+        `confidence` are (..., H, W), as `estimate_blur_map` returns them. Pixels that are not
+        known do not count: the opacity stays the same, and NaN or masked pixels become NaN.
     blur_map : (H, W) array_like
         Scale at every pixel, in px, within the family's domain.
     psf : PSFFamily or callable, optional
     noise_variance : float, optional
         Variance of the noise in the luminance, intensities in [0, 1], as `estimate_candidates`
-        takes it: noise of variance v in each channel of a colour picture is 0.45 v. Found from
-        the picture if left out.
+        takes it. Noise of variance v in each colour channel makes 0.45 v in the luminance. It is
+        found from the picture if left out.
     confidence : (H, W) array_like, optional
-        How sure the map is, from 0 to 1, see `confidence_map`. The data of a pixel count less,
-        the more a wrong radius there would change them, w = v / (v + (dg/dr)^2 d^2) with
-        d = 2 (1 - confidence)^3 px; and where the result does not explain the picture, the
-        radius is reduced. Without it, the map is taken as exact.
+        How sure the map is, from 0 to 1, see `confidence_map`. A pixel counts less if a wrong
+        radius would change it much: w = v / (v + (dg/dr)^2 d^2) with
+        d = 2 (1 - confidence)^3 px. Where the result does not explain the picture, the radius is
+        reduced. Without a confidence, the map is taken as exact.
     tv_weight : float, optional
-        lambda; larger is smoother. 30 v + 3e-5 if left out, v the noise variance of a channel,
-        for a picture of full contrast, and more if the picture does not fit. What is given is
-        taken as it is.
+        lambda; larger is smoother. If left out, it is 30 v + 3e-5 for a picture of full contrast,
+        where v is the noise variance of a channel, and more if the picture does not fit its map.
+        A given value is not changed.
     linearize : {"srgb"}, optional
         Decode the picture into linear light before, and encode it afterwards.
     intensity_range : (float, float), optional
@@ -119,26 +118,26 @@ def restore_all_in_focus(
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
     return_fit : bool, optional
-        Whether to say, too, how well the picture fits its map. Of one picture in memory only.
+        Whether to return how well the picture fits its map, too. Only for one picture in memory.
 
     Returns
     -------
     restored : float32 ndarray
-        Of the shape of `image`, in [0, 1], which is `intensity_range`; NaN where `image` is NaN
-        or masked. Of a stack, its planes' axes first and its colours last. A dask array if one
-        came in.
+        It has the shape of `image`. Values are in [0, 1], which stands for `intensity_range`, and
+        NaN where `image` is NaN or masked. A stack has the axes of its planes first and its
+        colours last. It is a dask array if `image` is one.
     fit : RestorationFit
-        If asked for with `return_fit`.
+        Only with `return_fit`.
 
     Raises
     ------
     TypeError
-        If `image` is no picture, or `blur_map` or `confidence` holds no real numbers.
+        If `image` has no real dtype, or `blur_map` or `confidence` holds no real numbers.
     ValueError
-        If `image` is no picture (see `estimate_candidates`), if `blur_map` or `confidence` has
-        another shape, scales outside the domain or a confidence outside [0, 1], or if
-        `noise_variance`, `tv_weight` or `linearize` is impossible, or if `return_fit` is set
-        for a stack or a dask array.
+        If `image` is not a picture (see `estimate_candidates`). If `blur_map` or `confidence` has
+        another shape, scales outside the domain, or a confidence outside [0, 1]. If
+        `noise_variance`, `tv_weight` or `linearize` is impossible, or `return_fit` is set for a
+        stack or a dask array.
 
     References
     ----------

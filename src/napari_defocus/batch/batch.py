@@ -59,17 +59,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """What came of a batch.
+    """The results of a batch.
 
     Attributes
     ----------
     table : Path
-        CSV; the same rows as JSON lines are beside it.
+        A CSV file. A file with the same rows as JSON lines lies beside it.
     planes, failed : int
-        Rows of the table, and those of them that could not be measured.
+        How many rows the table has, and how many of these could not be measured.
     left_out : dict of str to int
-        How many files of the folders and patterns were no pictures, by their endings, such as
-        ".txt"; "result" for what this package made, "folder" for folders in a folder.
+        How many files of the folders and patterns were left out, by their endings, such as ".txt".
+        "result" counts results of this package, "folder" folders in a folder.
+    doubtful : int
+        How many rows say in their column "careful" why the picture tells little of its blur.
 
     Examples
     --------
@@ -81,6 +83,7 @@ class BatchReport:
     planes: int
     failed: int
     left_out: dict[str, int] = field(default_factory=dict, hash=False)
+    doubtful: int = 0
 
 
 def measure_batch(
@@ -101,42 +104,44 @@ def measure_batch(
 ) -> BatchReport:
     """Measure many pictures and stacks: a blur map of each plane, and a table with a row a plane.
 
-    It can be ended at any moment, killed too, and called again: what is finished is not done
-    again, and the results are those of an undisturbed run, byte for byte, on however many
-    workers. A picture that cannot be read or measured is a row that says why, and is tried again
-    the next time.
+    It can be ended at any moment, even killed, and called again. What is finished is not done
+    again. The results are the same as those of an undisturbed run, byte for byte, with any number
+    of workers. A picture that cannot be read or measured is a row that says why, and is tried
+    again the next time.
 
     Parameters
     ----------
     inputs : path-like, or iterable of path-like
         Files, folders and patterns, as `napari_defocus.io.open.find_sources` takes them:
-        photographs, TIFF, slides and OME-Zarr, with one plane or many. Maps and the like that
-        this package made are left out, whatever they are called.
+        photographs, TIFF, slides and OME-Zarr, with one plane or many. Results of this package,
+        such as maps, are left out, whatever their names are.
     output : path-like
         A folder; it is made if its parent is there. It gets `table.csv` and `table.jsonl`, whose
         rows are in the order of the inputs; a folder `maps`; and, hidden, notes of what is
         finished.
     settings : Settings, optional
-        All but `refocus` is used; the threshold of masks says what is in focus in the table, too.
+        All but `refocus` is used. The threshold of masks also decides what counts as in focus in
+        the table.
     confidence, mask, restore : bool, optional
-        Whether to write, beside each map, its confidence, the in-focus mask, and the picture all
-        in focus.
+        Whether to write the confidence, the in-focus mask, and the picture all in focus beside
+        each map.
     min_confidence : float, optional
         Maps are NaN where the confidence is lower; the table still counts all pixels.
     intensity_range : (float, float), optional
         The intensities that mean black and white, of all pictures.
     file_format : {"auto", "tiff", "ome-zarr"}, optional
-        Of maps and the like: "auto" is TIFF (and PNG, for masks and restored pictures) for
-        single pictures of up to 64 megapixels, and OME-Zarr for others.
+        The format of the results. "auto" is TIFF, and PNG for masks and restored pictures, if it
+        is a single picture of up to 64 megapixels. It is OME-Zarr for others.
     block_size : int, optional
-        Side, in px, of the parts in which planes of more than 4 megapixels are worked on; their
-        maps are those of the whole plane to 0.02 px. Smaller ones are measured as one.
+        Side, in px, of the parts in which planes of more than 4 megapixels are worked on. Their
+        maps differ from those of the whole plane by 0.02 px or less. Smaller planes are measured
+        in one part.
     force : bool, optional
         Whether pictures that have changed, or were measured with other settings, are measured
-        again. They are an error without.
+        again. Otherwise they are an error.
     client : distributed.Client, optional
-        Whose workers do the work, such as one of `napari_defocus.batch.cluster.dask_client`. They
-        have to find inputs and output under the same paths. Without, the work is done in this
+        Its workers do the work, see `napari_defocus.batch.cluster.dask_client`. They have to find
+        inputs and output under the same paths. Without a client, the work is done in this
         process, plane after plane.
     progress : callable, optional
         Called with a step's name, which says how much time is left, and the share that is done.
@@ -150,9 +155,9 @@ def measure_batch(
     UnreadablePicture
         If an input names nothing, or a map, a mask or a drawing of this package.
     UnwritableResult
-        If the output cannot be written, holds what no batch made, or a batch that was made with
-        other settings or of other pictures, and `force` is not set; if a result is an input, or
-        another batch is at work in the folder.
+        If the output cannot be written, or a result is an input, or another batch is at work in
+        the folder. Without `force`, also if the folder holds files that no batch made, or a batch
+        with other settings or of other pictures.
     ValueError
         If a setting is beyond its range.
     ConnectionError
@@ -333,7 +338,8 @@ class _Batch:
         csv, json_lines = self.folder.tables
         write_results({csv: in_csv(rows), json_lines: in_json_lines(rows)}, force=True)
         failures = sum(row["status"] == FAILED for row in rows)
-        return BatchReport(csv, len(rows), failures, self.left_out)
+        doubtful = sum(bool(row.get("careful")) for row in rows)
+        return BatchReport(csv, len(rows), failures, self.left_out, doubtful)
 
     def _work_off(self, client: Client, jobs: Iterator[Job]) -> None:
         """Do jobs, and those that come of them; what was at work when a worker died, alone."""

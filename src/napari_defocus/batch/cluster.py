@@ -26,10 +26,12 @@ HAS_WORKER_WITHIN = 15
 """Seconds that the first worker of a scheduler has to be there."""
 
 TASKS_PER_THREAD = 2
-"""Of the workers, that wait or are worked on at a time: ten thousand jobs wait here."""
+"""Tasks for each thread of the workers that are sent at a time. The others, perhaps ten thousand,
+wait here.
+"""
 
 _NO_DASHBOARD = "127.0.0.1:0"
-"""Some port that nobody outside reaches: dask listens at one in any case."""
+"""A port that nobody outside reaches. dask listens at one in any case."""
 
 _THREADS = (
     "OMP_NUM_THREADS",
@@ -37,11 +39,12 @@ _THREADS = (
     "MKL_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
-"""What has to be known before a process begins; dask sets it in this one, too."""
+"""Variables that have to be set before a process starts. dask sets them in this process, too."""
 
 _MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(24 << 20)}
-"""Large arrays go back to the system when they are done with: glibc would keep a third more. With a
-lower threshold, the system would spend twice as long on pages."""
+"""Gives large arrays back to the system when they are freed: glibc would keep a third more memory.
+With a lower threshold, the system would spend twice as long on pages.
+"""
 
 
 @contextmanager
@@ -254,10 +257,10 @@ def _quiet_libraries() -> Any:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let Ctrl-C wait, here and for ever in processes that are started by threads of meanwhile.
+    """Let Ctrl-C wait in this process, and never reach processes that are started meanwhile.
 
-    A terminal sends it to workers, too, but it is for this process to end them. dask would not
-    clean up if it was interrupted while it starts or ends them.
+    A terminal sends it to workers, too, but this process ends them. dask would not clean up if it
+    was interrupted while it starts or ends them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

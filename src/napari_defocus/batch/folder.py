@@ -97,7 +97,7 @@ class BatchFolder:
 
     def _check_unused(self, force: bool) -> None:
         if self.path.exists() and not self.path.is_dir():
-            raise UnwritableResult(f"cannot write into {self.path}: it is no folder")
+            raise UnwritableResult(f"cannot write into {self.path}: it is not a folder")
         if not self.path.parent.is_dir():
             raise UnwritableResult(f"cannot make {self.path}: there is no folder above it")
         held = [path for path in self.tables if path.exists()]
@@ -105,8 +105,7 @@ class BatchFolder:
             held.append(self.results)
         if held and not force:
             raise NeedsForce(
-                f"cannot write into {self.path}: {held[0].name} exists, and no batch of ours made "
-                "it",
+                f"cannot write into {self.path}: {held[0].name} exists, and no batch made it",
                 "{force} overwrites what has the same name",
             )
 

@@ -18,6 +18,7 @@ import napari_defocus
 from napari_defocus.batch.folder import Facts, read_note, write_note
 from napari_defocus.batch.table import DONE, FAILED, PixelCounts, Row, count_pixels
 from napari_defocus.core.intensity import Limits
+from napari_defocus.core.picture_remarks import picture_remarks
 from napari_defocus.core.progress import silent
 from napari_defocus.core.writing import write_results
 from napari_defocus.io.encoders import (
@@ -61,7 +62,7 @@ KINDS = {
     "mask": Kind("-mask", ".png", "in-focus mask", "1", "uint8"),
     "in_focus": Kind("-in-focus", ".png", ALL_IN_FOCUS, "1", "float32"),
 }
-"""Under the names of the table's columns."""
+"""The kinds of results, by the names of the table's columns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +200,7 @@ def measure_plane(task: PlaneTask) -> Row:
         made = _made_of(found, picture, task)
         _write(task, made, found, picture)
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan)
-        row |= task.results
+        row |= task.results | {"careful": _remarks(picture, found)}
         write_note(task.row_path, row)
     except Exception as error:
         return failed(task.known, reason(error))
@@ -266,6 +267,13 @@ def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Ro
     noise = found.noise_variance
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
     return facts | ({} if found.intensities is None else found.intensities.facts())
+
+
+def _remarks(picture: NDArray[Any], found: Measurement) -> str | None:
+    """Return why a plane tells little of its blur, in sentences; None if nothing says so."""
+    assert found.candidates is not None
+    remarks = [*picture_remarks(picture, found.candidates.window), found.doubt]
+    return " ".join(filter(None, remarks)) or None
 
 
 def _write(

@@ -38,10 +38,10 @@ from napari_defocus.psf import AUTO
 FileFormat = Literal["auto", "tiff", "ome-zarr"]
 
 LARGEST_IN_A_FILE = 64_000_000
-"""px of a picture whose map becomes a TIFF if no format is asked for."""
+"""px of the largest picture whose map becomes a TIFF if no format is asked for."""
 
 LARGEST_AT_ONCE = 4_000_000
-"""px of a plane that one task measures."""
+"""px of the largest plane that one task measures."""
 
 
 @dataclass(frozen=True)

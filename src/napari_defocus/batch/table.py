@@ -37,7 +37,7 @@ RESULTS = ("map", "confidence", "mask", "in_focus")
 COLUMNS = (
     *("source", "plane", "status", "error", "width", "height"),
     *_RADII.values(),
-    *("share_in_focus", "median_confidence", "share_sure", "noise_variance"),
+    *("share_in_focus", "median_confidence", "share_sure", "careful", "noise_variance"),
     *("intensity_low", "intensity_high", "contrast"),
     *("pixel_width_um", "pixel_height_um"),
     *RESULTS,
@@ -46,10 +46,10 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class PixelCounts:
-    """How many pixels have which radius and which confidence; those of parts can be added.
+    """How many pixels have which radius and which confidence; counts of parts can be added.
 
-    Radii of 0, 0.01, 0.02 px, ... and confidences of 0, 0.001, ..., 1 are counted, each rounded to
-    the nearest; pixels are `sure` whose confidence is 0.5 or more.
+    Radii are rounded to 0.01 px and confidences to 0.001. Pixels with a confidence of 0.5 or more
+    are `sure`.
     """
 
     radii: NDArray[np.int64]

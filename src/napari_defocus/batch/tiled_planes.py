@@ -57,7 +57,9 @@ class TiledPlane:
     def __init__(self, task: PlaneTask) -> None:
         plan = task.plan
         if plan.settings.map.shot_noise:
-            raise TooLarge("how noise grows with the intensity is not found in so many pixels")
+            raise TooLarge(
+                "noise that grows with the intensity is not looked for in so large a plane"
+            )
         self.task, self._plane = task, task.plane
         self.error: str | None = None
         self._parts = [

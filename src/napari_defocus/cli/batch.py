@@ -26,6 +26,8 @@ def _lines(facts: Facts) -> Iterator[str]:
     yield f"planes       {facts['planes'] - facts['failed']} of {facts['planes']} measured"
     if facts["left_out"]:
         yield f"left out     {told_left_out(facts['left_out'])}"
+    if facts["doubtful"]:
+        yield f"careful      {facts['doubtful']} may tell little of their blur; the table says why"
     yield f"time         {facts['seconds']:.1f} s"
     yield f"wrote        {facts['table']}"
 
@@ -40,24 +42,24 @@ def _end(facts: Facts) -> None:
     _lines,
     """
     inputs INPUTS...
-        Pictures (PNG, JPEG, TIFF, WebP, BMP), stacks and slides (TIFF, .svs, .ndpi, .scn, .qptiff,
-        .lsm, .stk and the like, OME-Zarr), folders of them, and patterns such as
+        Pictures (PNG, JPEG, TIFF, WebP, BMP, GIF, HEIC), stacks and slides (TIFF, .svs, .ndpi,
+        .scn, .qptiff, .lsm, .stk and the like, OME-Zarr), folders of them, and patterns such as
         'photos/**/*.tif'. Results of napari-defocus are left out of folders and patterns.
     output -o FOLDER
         Where to write: table.csv and table.jsonl, and the folder maps. It is made if missing.
         Started again with the same folder, the batch goes on where it was ended.
     confidence
-        Write, too, how sure each map is: NAME-confidence.
+        Also write how sure each map is: NAME-confidence.
     mask
-        Write, too, what is in focus: NAME-mask.
+        Also write what is in focus: NAME-mask.
     restore
-        Write, too, each picture all in focus: NAME-in-focus.
+        Also write each picture all in focus: NAME-in-focus.
     file_format --format
-        Of maps and the like. auto: TIFF (masks and restored pictures: PNG) for single pictures of
-        up to 64 megapixels, OME-Zarr for stacks and larger ones.
+        The format of the results. auto: TIFF (PNG for masks and restored pictures) for single
+        pictures of up to 64 megapixels, OME-Zarr for stacks and larger ones.
     block_size PX
-        Side of the parts in which planes of more than 4 megapixels are worked on; memory is bounded
-        by it.
+        Side of the parts in which planes of more than 4 megapixels are worked on. It bounds the
+        memory.
     scheduler ADDRESS
         A dask scheduler, such as tcp://10.0.0.5:8786, whose workers do the work. They must have
         this version of napari-defocus, and see INPUTS and FOLDER under the same paths. [default:
@@ -65,10 +67,10 @@ def _end(facts: Facts) -> None:
     workers NUMBER
         How many processes to start on this machine. [default: one a core]
     tv_weight NUMBER
-        Of --restore: large for less noise, small for more detail. Derived from the noise if left
-        out.
+        For --restore: large for less noise, small for more detail. If left out, it follows from
+        the noise.
     risk NUMBER
-        Of --restore: of taking more blur away than there is, which makes rings.
+        For --restore: the risk of taking more blur away than there is, which makes rings.
     force
         Measure again what has changed since FOLDER was begun, or was measured with other settings.
     """,
@@ -93,7 +95,7 @@ def batch(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure many pictures and stacks: a map of each plane, and a table with a row a plane.
+    """Measure many pictures and stacks: a map and a row of a table for each plane.
 
     End it whenever you like: the same command goes on from there. A picture that cannot be
     measured is a row of the table that says why, and the exit code is then 1.
@@ -132,6 +134,7 @@ def batch(
         "planes": report.planes,
         "failed": report.failed,
         "left_out": report.left_out,
+        "doubtful": report.doubtful,
     }
 
 

@@ -44,7 +44,7 @@ def _lines(facts: Facts) -> Iterator[str]:
     if facts["infinite_percent"]:
         yield (
             f"infinite     {facts['infinite_percent']:.1f} % of the picture, "
-            "more blurred than any distance can be"
+            "with more blur than any distance can have"
         )
     if facts["reach_m"] is not None:
         comparison = "farther" if facts["side"] == "far" else "nearer"
@@ -74,7 +74,7 @@ def depth(
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Tell from the blur how far away, in m, everything in IMAGE is.
+    """Compute from the blur how far away, in m, everything in IMAGE is.
 
     It takes the lens: what IMAGE notes of it (EXIF), and what you give instead.
     """
@@ -84,7 +84,7 @@ def depth(
     settings = measuring.settings()
     check_confidence("min_confidence", min_confidence)
     if min_confidence > 0 and measuring.known_map and not measuring.map_confidence:
-        raise ValueError(f"min_confidence is {min_confidence}; with map it takes map_confidence")
+        raise ValueError(f"min_confidence is {min_confidence}; with map it needs map_confidence")
     check_endings(outputs, ".tif", ".tiff", ".png")
     picture = files.read(image, outputs, *measuring.files)
     lens = lens_of(image, thin_lens)
@@ -102,7 +102,7 @@ def depth(
     files.write(contents, "depth", map=settings)
     facts |= file_facts(found) | map_facts(found, min_confidence) | _depth_facts(distance)
     facts |= {"reach_m": _reach(found, lens, side)}
-    return picture_facts(image, outputs, found, settings) | facts
+    return picture_facts(image, picture, outputs, found, settings) | facts
 
 
 def _depth_facts(distance: NDArray[Any]) -> dict[str, Any]:

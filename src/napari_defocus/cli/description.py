@@ -16,14 +16,22 @@ if TYPE_CHECKING:
     from napari_defocus.core.intensity import Intensities
     from napari_defocus.likelihood.candidates import BlurCandidates
 
+_HALF = 50.0
+_DISAGREEMENT = (
+    "The map says otherwise: where the picture cannot tell, the mask follows colours and outlines."
+)
+
 
 def picture_facts(
     image: Path,
+    picture: NDArray[Any],
     outputs: list[Path],
     found: BlurCandidates | Measurement,
     settings: MapSettings,
 ) -> dict[str, Any]:
     """Return what every command tells about a picture."""
+    from napari_defocus.core.picture_remarks import picture_remarks
+
     variance, intensities = found.noise_variance, found.intensities
     levels = 255.0 if intensities is None else intensities.grey_levels
     return {
@@ -31,6 +39,7 @@ def picture_facts(
         "psf": settings.settled(found.psf).psf,
         "psf_choice": found.psf_choice and found.psf_choice.facts(),
         "doubt": found.doubt,
+        "picture_remarks": picture_remarks(picture, settings.window),
         "scale": found.psf.scale_name,
         "camera_softness": settings.camera_softness if settings.mode == "curve" else 0.0,
         "noise_variance": variance,
@@ -72,9 +81,12 @@ def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]
     return facts
 
 
-def mask_facts(mask: NDArray[Any]) -> dict[str, Any]:
-    """Return what is told about a mask."""
-    return {"in_focus_percent": 100.0 * float((mask != 0).mean())}
+def mask_facts(mask: NDArray[Any], threshold: float) -> dict[str, Any]:
+    """Return what is told about a mask of what is blurred by up to a threshold, in px."""
+    return {
+        "in_focus_percent": 100.0 * float((mask != 0).mean()),
+        "threshold_px": float(threshold),
+    }
 
 
 def picture_lines(facts: Mapping[str, Any]) -> Iterator[str]:
@@ -127,9 +139,23 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
             f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
             f"{facts['confident_percent']:.1f} % of the picture"
         )
-    if facts.get("doubt"):
-        yield f"careful      {facts['doubt']}"
+    for remark in filter(None, [*facts.get("picture_remarks", ()), facts.get("doubt")]):
+        yield f"careful      {remark}"
     if facts.get("left_out_percent"):
         yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
     if "in_focus_percent" in facts:
-        yield f"in focus     {facts['in_focus_percent']:.1f} % of the picture"
+        yield (
+            f"in focus     {facts['in_focus_percent']:.1f} % of the picture (the mask: blur up to "
+            f"{facts['threshold_px']:g} px)"
+        )
+        yield from _mask_against_map(facts)
+
+
+def _mask_against_map(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Say if the mask covers most of a picture that the map calls blurred, or the other way."""
+    if "blur_median_px" not in facts:
+        return
+    by_map = facts["blur_median_px"] <= facts["threshold_px"]
+    by_mask = facts["in_focus_percent"] >= _HALF
+    if by_map != by_mask:
+        yield "             " + _DISAGREEMENT

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from napari_defocus.labeling.explanation import PixelExplanation
 
 _SIZE, _DPI = (6.4, 4.0), 140
-"""Of the drawing, in inches and pixels an inch."""
+"""Size of the drawing in inches, and its pixels per inch."""
 
 
 def _lines(facts: Facts) -> Iterator[str]:
@@ -55,7 +55,7 @@ def explain(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Tell why the blur map of IMAGE says what it says at one pixel."""
+    """Explain the blur map of IMAGE at one pixel."""
     from napari_defocus.likelihood.candidates import check_place
 
     outputs, files = [output] if output else [], Files(force=force)
@@ -76,7 +76,7 @@ def explain(
         intensity_range=intensity_range,
     )
     files.write({path: _drawing(told) for path in outputs})
-    return picture_facts(image, outputs, found, settings) | _facts(told)
+    return picture_facts(image, picture, outputs, found, settings) | _facts(told)
 
 
 def _drawing(told: PixelExplanation) -> bytes:

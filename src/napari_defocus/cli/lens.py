@@ -49,13 +49,13 @@ def _calibration_lines(facts: Facts) -> Iterator[str]:
     output -o PATH
         Where to write what --psf reads (.npz).
     scales PX,PX,...
-        Scale of each picture in px, if you know it. Measured if left out: the radius of the disc
-        that is as wide.
+        Scale of each picture in px, if you know it. If left out, it is measured: the radius of the
+        disc that is as wide.
     sharp PICTURE
         The same in focus; once for all pictures, or once for each.
     max_scale PX
-        Largest scale that the lens can be looked for with, in px. The largest measured one if left
-        out.
+        Largest scale that is looked for with this lens, in px. If left out, it is the largest one
+        that was measured.
     """,
 )
 def calibrate(
@@ -69,7 +69,7 @@ def calibrate(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure what your lens makes of a point, from PICTUREs at a few settings of its focus."""
+    """Measure the shape that your lens makes of a point, at a few settings of its focus."""
     from napari_defocus.core.writing import check_results
     from napari_defocus.io.pictures import read_picture
 
@@ -124,7 +124,7 @@ def _comparison_lines(facts: Facts) -> Iterator[str]:
     _comparison_lines,
     f"""
     family TEXT
-        A lens to compare, as --psf of map takes it; can be given many times.
+        A lens to compare, as --psf of map takes it. Give it once for each lens.
         [default: {", ".join(COMPARED_PSFS)}]
     """,
 )
@@ -144,7 +144,7 @@ def compare(
     from napari_defocus.psf.parsing import psf_of
 
     if AUTO in (family or ()):
-        raise ValueError("family is 'auto', which is no lens; it takes a lens such as disc")
+        raise ValueError("family is 'auto', which is not one lens; it takes a lens such as disc")
     text_of = {psf_of(text, max_radius): text for text in family or COMPARED_PSFS}
     picture = read_picture(image)
     comparison = napari_defocus.compare_psf(

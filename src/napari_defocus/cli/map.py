@@ -50,7 +50,9 @@ def map_picture(
     check_endings(outputs, ".tif", ".tiff", ".png")
     picture = files.read(image, outputs)
     found = measure_map(picture, settings, measuring.intensity_range, progress)
-    facts = picture_facts(image, outputs, found, settings) | map_facts(found, min_confidence)
+    facts = picture_facts(image, picture, outputs, found, settings) | map_facts(
+        found, min_confidence
+    )
     contents = encoded_maps(maps, confidences, found, settings, min_confidence)
     files.write(contents, "map", map=settings)
     return facts

@@ -27,7 +27,7 @@ class OptionGroup:
     """A dataclass whose fields are options, and have defaults."""
 
     entries: ClassVar[dict[str, Entry]] = {}
-    """What is said otherwise than where other commands share it."""
+    """Help texts that differ from those that commands share."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class MapOrFileOptions(MapOptions):
         return self.known_map, self.map_confidence
 
     def lens(self) -> str:
-        """Return what stands for the PSF; if none is asked for, that of the file, or the usual."""
+        """Return the text of the PSF: as given, or else that of the file, or the default."""
         if self.psf is not None:
             return self.psf
         if self.known_map is None:

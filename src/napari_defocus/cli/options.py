@@ -68,45 +68,45 @@ def shown(
 
 SHARED = entries_in("""
 image IMAGE
-    PNG, JPEG, TIFF, WebP or BMP; of a slide (.svs, .ndpi, .scn, .qptiff and the like), the
-    largest level.
+    PNG, JPEG, TIFF, WebP, BMP or GIF; HEIC and raw files with the extras heic and raw. Of a slide
+    (.svs, .ndpi, .scn, .qptiff and the like), the largest level is read.
 psf TEXT
-    What a lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION, gaussian,
-    generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote. auto lets the picture
-    choose, and says what it chose.
+    The shape that the lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION,
+    gaussian, generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote. auto lets the
+    picture choose, and says what it chose.
 noise_variance NUMBER
-    Variance of the noise in the luminance, intensities from 0 to 1. Found from the picture if
-    left out.
+    Variance of the noise in the luminance, for intensities from 0 to 1. If left out, it is found
+    from the picture.
 shot_noise
-    The noise grows with the intensity, as that of counted photons, even where the picture does not
-    plainly say so; how much, is found from it.
+    Look for noise that grows with the intensity, as that of counted photons, even if the picture
+    does not plainly show it.
 camera_softness PX
-    Standard deviation of the blur that the camera has of its own, in px; radii are the defocus
-    beyond it.
+    Standard deviation of the camera's own blur, in px. Radii are the defocus beyond it.
 max_radius PX
     Largest blur radius that is looked for, in px. Small pictures are searched up to less: 32 px
-    if their shorter side is below 656 px, 16 px below 328 px, 8 px below 164 px. A Gaussian is
-    looked for up to a standard deviation of half of it, as a disc of that radius has.
+    if their shorter side is below 656 px, 16 px below 328 px, 8 px below 164 px. For a Gaussian,
+    the largest standard deviation is half of it.
 window PX
-    Side of the window whose spectrum speaks for a place, in px; odd.
+    Side of the window that decides about a place, in px; odd.
 stride PX
     Distance between analysed windows, in px.
 mode
-    Weigh the whole likelihood curve, or the three candidates of the paper.
+    Use the whole likelihood curve, or only three candidates as in the paper.
 linearize
     Decode the intensities into linear light first: srgb for pictures that a camera made for
     screens.
 intensity_range LOW HIGH
-    Intensities that mean black and white, such as 0 4095 for 12-bit data: units of noise, and of
-    pictures that are restored. Found if left out, and told; maps do not depend on it.
+    Intensities that mean black and white, such as 0 4095 for 12-bit data. They are the units of the
+    noise and of restored pictures; maps do not depend on them. If left out, they are found, and the
+    line intensities has them.
 smoothness NUMBER
     Cost of a change of the radius by 0.1 px.
 color_sigma NUMBER
-    How much colours differ where the blur may change easily: a share of the contrast.
+    How much colours must differ until the blur may easily change: a share of the contrast.
 known_map --map PATH
     The blur map of IMAGE as map wrote it (.tif), or as you corrected it: float32, in px, NaN where
-    it is not known. It is measured if left out; if not, what only shapes a measurement does
-    nothing.
+    it is not known. If left out, it is measured. With a map, options that only shape a measurement
+    do nothing.
 map_confidence PATH
     What map --confidence wrote (.tif) together with the --map.
 min_confidence NUMBER
@@ -114,11 +114,11 @@ min_confidence NUMBER
 threshold PX
     Largest blur radius that counts as in focus, in px.
 tv_weight NUMBER
-    How smooth the picture in focus is: large for less noise, small for more detail. Derived from
-    the noise if left out, and from how badly the picture fits its map.
+    How smooth the picture in focus is: large for less noise, small for more detail. If left out, it
+    follows from the noise, and from how badly the picture fits its map.
 risk NUMBER
-    Of taking more blur away than there is, which makes rings: small leaves more blur where it is
-    not sure, 1 takes away what the map says. Without effect with --map.
+    The risk of taking more blur away than there is, which makes rings. A small one leaves more blur
+    where the map is not sure, 1 takes away what the map says. It has no effect with --map.
 focal_length MM
     Focal length, in mm; not its 35 mm equivalent.
 f_number NUMBER
@@ -130,11 +130,11 @@ pixel_pitch UM
     How far the pixels of IMAGE are apart on the sensor, in um: twice the sensor's pitch if IMAGE
     was scaled down to a half.
 side
-    Where everything lies that is blurred: beyond the plane in focus (far) or before it (near). One
-    picture cannot tell.
+    Where the blurred things are: beyond the plane in focus (far) or before it (near). One picture
+    cannot tell.
 settings_file --settings PATH
-    A file that --save-settings wrote (.json), or that you edited: it says what the options of this
-    command do not.
+    A file that --save-settings wrote (.json), or that you edited. Options that you give here count
+    more than the file.
 save_settings PATH
     Where to write the settings that were used (.json), for --settings.
 force

@@ -37,7 +37,7 @@ MEASURING_SHARE = 0.2
 """Roughly how much of the time goes into the map; for the progress bar only."""
 
 _RESTORING_SHARE = 0.8
-"""Of the time after the map, roughly."""
+"""The share of the time after the map, roughly."""
 
 _OUTPUTS = """
 output -o PATH
@@ -49,7 +49,7 @@ output -o PATH
 def _weight_line(facts: Facts) -> str:
     line = f"tv weight    {facts['tv_weight']:.2g}"
     if facts["misfit"] > 0:
-        line += f"; lens or map may not fit (variance {facts['misfit']:.1g}): with more care"
+        line += f"; lens or map may not fit (variance {facts['misfit']:.1g}): less blur taken away"
     return line
 
 
@@ -101,7 +101,7 @@ def restore(
     )
     found = replace(found, noise_variance=fit.noise_variance)
     shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit}
-    facts = picture_facts(image, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
     contents = _encoded(outputs, sharp, picture, ALL_IN_FOCUS, made_with)
@@ -114,21 +114,20 @@ def restore(
     _OUTPUTS.format("refocused")
     + f"""
 focus PX
-    What shall be sharp: that which is blurred by so many px, in the scale of --psf and the map;
-    negative on the other side of the focus than --side.
+    Make sharp what is blurred by so many px, in the scale of --psf and the map. A negative number
+    means the other side of the focus than --side.
     [default: {RefocusSettings.focus:g}, the focus stays]
 sharp_at M
-    What shall be sharp: that which is so far away, in m; instead of --focus. It takes the lens:
-    --focal-length, --f-number, --focus-distance and --pixel-pitch, as far as IMAGE does not note
-    them.
+    Make sharp what is so far away, in m, instead of --focus. It needs the lens: --focal-length,
+    --f-number, --focus-distance and --pixel-pitch, unless IMAGE notes them.
 aperture FACTOR
-    How many times as wide the aperture shall be, and so the blur: 2 for two stops more, 0 for
+    How many times as wide the aperture, and so the blur, will be: 2 for two stops more, 0 for
     everything in focus.
 encoding
     How IMAGE holds light: srgb if a camera made it for screens, linear if its numbers are
-    proportional to light, as those of microscopes and raw data. Lenses blur light: IMAGE is
-    restored and blurred again in it. --noise-variance is taken for that, too, if --linearize is the
-    same or --map is given; else the noise is found again.
+    proportional to light, as those of microscopes and raw data. IMAGE is restored and blurred again
+    in linear light. --noise-variance counts there if --linearize is the same or --map is given.
+    Otherwise the noise is found again.
 """,
 )
 def refocus(
@@ -148,7 +147,7 @@ def refocus(
 ) -> dict[str, Any]:
     """Show IMAGE as if it had been focused elsewhere, or with another aperture.
 
-    --focus or --sharp-at says what shall be sharp, --aperture how blurred the rest.
+    --focus or --sharp-at says what becomes sharp, --aperture how blurred the rest becomes.
     """
     from napari_defocus.io.provenance import REFOCUSED
 
@@ -183,7 +182,7 @@ def refocus(
     )
     contents = _encoded(outputs, changed, picture, REFOCUSED, used(found, settings) | change)
     files.write(contents, "refocus", map=settings, restoration=asked, refocus=view)
-    facts = picture_facts(image, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
     return facts | map_facts(found) | change
 
 

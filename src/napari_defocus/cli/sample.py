@@ -51,7 +51,7 @@ def sample(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write a photograph of ours, to try the other commands on."""
+    """Write a bundled photograph, to try the other commands on."""
     check_endings([file], ".jpg", ".jpeg")
     Files(force=force).write({file: sample_path(name).read_bytes()})
     return {"sample": name, "author": AUTHORS[name], "files": [str(file)]}
@@ -77,7 +77,7 @@ def demonstrate(
     linearize: Linearize | None = MapSettings.linearize,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure a picture of ours; all results go into FOLDER.
+    """Measure a bundled photograph; all results go into FOLDER.
 
     Running it again overwrites its results.
     """
@@ -95,15 +95,15 @@ def demonstrate(
         mask = segment(candidates, picture, mask_settings, progress=within(second, 0.5, 1.0))
         contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
         files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))
-    facts = picture_facts(Path("dandelion.jpg"), outputs, found, settings)
-    return facts | map_facts(found) | mask_facts(mask)
+    facts = picture_facts(Path("dandelion.jpg"), picture, outputs, found, settings)
+    return facts | map_facts(found) | mask_facts(mask, mask_settings.threshold)
 
 
 @contextmanager
 def _folder_for_results(folder: Path) -> Iterator[None]:
     """Make the folder; take it away again if it is new and the work fails."""
     if folder.exists() and not folder.is_dir():
-        raise ValueError(f"cannot write into {folder}: it is no folder")
+        raise ValueError(f"cannot write into {folder}: it is not a folder")
     if not folder.absolute().parent.is_dir():
         raise ValueError(f"cannot make {folder}: there is no folder {folder.parent}")
     new = not folder.exists()

@@ -89,7 +89,8 @@ def segment_picture(
         candidates, picture, mask_settings, intensity_range, seeds=known, progress=report
     )
     contents = encoded_masks(masks, overlays, picture, mask, intensity_range)
-    facts = picture_facts(image, outputs, candidates, settings) | mask_facts(mask)
+    facts = picture_facts(image, picture, outputs, candidates, settings)
+    facts |= mask_facts(mask, threshold)
     facts["seeds"] = None if known is None else {"file": str(seeds)} | _seeds_facts(known)
     if regions:
         third = within(second, masked, 1.0)

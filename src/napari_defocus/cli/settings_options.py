@@ -31,7 +31,9 @@ PARTS_OF: dict[str, dict[str, type[Any]]] = {
     "explain": {"map": MapSettings},
     "batch": {"restoration": RestorationSettings, "mask": MaskSettings, "map": MapSettings},
 }
-"""What each command takes from a settings file; of one option in two parts, the later says it."""
+"""What each command takes from a settings file. If one option is in two parts, the later one
+counts.
+"""
 
 _RIVAL_OF = {
     "noise_variance": "shot_noise",
@@ -39,7 +41,7 @@ _RIVAL_OF = {
     "focus": "sharp_at",
     "psf": "known_map",
 }
-"""Given on the command line, the second says what the first would say."""
+"""If the second option is given on the command line, the first one of the file does not count."""
 
 
 def options_from_file(ctx: typer.Context, path: Path | None) -> Path | None:
@@ -55,7 +57,7 @@ def options_from_file(ctx: typer.Context, path: Path | None) -> Path | None:
         ctx.default_map = {
             option: partial(_left_to_file, ctx, said, option, said.get(part, {}).get(key))
             for option, (part, key) in _places(str(ctx.info_name)).items()
-            # It is asked for, said or not, to see whether two are said.
+            # Always looked up, to notice a file that gives the noise twice.
             if key in said.get(part, {}) or option == "noise_variance"
         }
     return path

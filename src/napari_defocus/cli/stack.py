@@ -40,7 +40,7 @@ def _lines(facts: Facts) -> Iterator[str]:
     for note in facts["notes"]:
         yield f"planes       {note}"
     if facts["px_per_plane"] is None:
-        yield "blur         no texture to find by how much it grows from plane to plane"
+        yield "blur         not found: too little texture to see it grow from plane to plane"
     else:
         yield f"blur         grows by {facts['px_per_plane']:.2f} px from plane to plane"
     share = 100.0 * facts["share_of_plane"][facts["best_plane"]]
@@ -76,24 +76,24 @@ def _lines(facts: Facts) -> Iterator[str]:
         By how many px the radius of the blur grows from plane to plane. It is found from the stack
         if left out.
     align
-        Whether planes that drift, turn or are magnified are laid on the middle one first: auto, if
-        motion is surely there; yes, always; no, never.
+        Whether planes that drift, turn or are magnified are laid on the middle one first: auto (if
+        motion is surely there), yes (always) or no (never).
     use_alignment FILE
-        An alignment that --save-alignment wrote, of this stack or of another channel, instead.
+        Use the alignment that --save-alignment wrote for this stack or another channel.
     save_alignment FILE
-        Where to write how the planes lay on the middle one (.json).
+        Where to write how the planes were laid on the middle one (.json).
     match_brightness
-        Whether planes that a lamp made brighter or darker are made equally bright: auto, if they
-        surely differ; yes; no.
+        Whether planes that a lamp made brighter or darker are made equally bright: auto (if they
+        surely differ), yes or no.
     composite
-        Blended of the planes about each position, which averages noise and has no seams; or the
-        pixels of the nearest plane.
+        blended mixes the planes about each position, which averages noise and has no seams; pixels
+        takes the pixels of the nearest plane.
     peak
-        Which plane is meant where two are sharp, as in something transparent: the strongest, the
+        Which plane to take where two are sharp, as in something transparent: the strongest, the
         first or the last.
     all_channels PATH
-        Where to write a picture of every channel (.tif), put together at the positions that
-        --channel has told.
+        Where to write a picture of every channel (.tif), put together at the positions that were
+        found in --channel.
     """,
 )
 def sharpest(
@@ -135,7 +135,7 @@ def sharpest(
     }
     family = MapSettings(psf=psf, max_radius=max_radius, **shaping).family()
     if psf == AUTO:
-        raise ValueError("psf is 'auto', which only maps take; it takes a lens such as disc")
+        raise ValueError("psf is 'auto', which works for maps only; it takes a lens such as disc")
     pictures = (output, position, confidence, all_channels)
     check_endings([path for path in pictures if path], ".tif", ".tiff")
     if save_alignment is not None:

@@ -19,7 +19,7 @@ _LETTER_OF_NAME = dict.fromkeys(("c", "ch", "channel", "channels"), "c")
 _LETTER_OF_NAME |= dict.fromkeys(("t", "time", "times"), "t")
 
 _UNNAMED = "iq"
-"""What tifffile calls axes of pages of which a file says nothing."""
+"""tifffile's letters for axes that a file does not name."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def focus_axis(
     Raises
     ------
     TypeError
-        If `channel` or `time` is no whole number.
+        If `channel` or `time` is not a whole number.
     ValueError
         If there is no such channel or time, none was chosen of several, or not exactly one axis
         is left.
@@ -139,7 +139,7 @@ def _unclear(left: dict[str, int], said: Callable[[str], str]) -> str:
         return "a single plane; it takes two or more along an axis such as z"
     if list(left) == ["c"]:
         return (
-            f"{held}, and channels are no planes through focus; it takes planes along another "
+            f"{held}, and channels are not planes through focus; it takes planes along another "
             "axis (if these are planes, name their axis z)"
         )
     others = [letter for letter in left if letter not in CHOSEN_BY]

@@ -39,7 +39,7 @@ def check_flag(name: str, value: Any) -> None:
 
 
 def check_whole(name: str, value: Any) -> None:
-    """Refuse, naming it, what is no number of px from 1 up."""
+    """Refuse, naming it, what is not a number of px from 1 up."""
     if not isinstance(value, Integral) or int(value) < 1:
         raise ValueError(f"{name} is {value!r}; it takes a whole number of px from 1 up")
 
@@ -139,10 +139,9 @@ def check_threshold(threshold: float, max_scale: float) -> None:
     """Check tau of (18) against the largest scale that is looked for, in px."""
     check_real("threshold", threshold, "a number of px")
     if not 0 <= threshold < max_scale:
-        raise ValueError(
-            f"threshold is {threshold}; it takes a scale from 0 to below {max_scale:g} px, "
-            f"the largest that is looked for"
-        )
+        largest = f"to below {max_scale:g} px, the largest radius that is looked for"
+        takes = "0 px up" if math.isinf(max_scale) else f"0 {largest}"
+        raise ValueError(f"threshold is {threshold}; it takes a blur radius from {takes}")
 
 
 def check_risk(risk: float) -> None:

@@ -17,8 +17,8 @@ _OUTLIERS = 1e-3
 def color_limit(blur_map: Any) -> float:
     """Return the upper end, in px, of the colours of a map: 8 px, or more if the map has more.
 
-    Beyond 8 px it is a round number that all but 0.1 % of the known values stay below: whole px
-    up to 20, then in steps of 5 px. Of an array that is not in memory, a sample is looked at.
+    Beyond 8 px it is a round number above all but 0.1 % of the known values: whole px up to 20,
+    then steps of 5 px. If an array is not in memory, a sample of it decides.
 
     Examples
     --------

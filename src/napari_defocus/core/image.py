@@ -23,14 +23,14 @@ LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """ITU-R BT.601: the luminance that JPEG keeps at full resolution."""
 
 MIN_SIDE = 3
-"""px: the least side of a picture, that of second differences."""
+"""px: the least side of a picture, because second differences need three pixels."""
 
 _LARGEST = 1e9
 """Intensity, once it is scaled: its fourth power is still a number in single precision."""
 
 _DARK, _DARKEST = 0.5, 1e-3
-"""Of the range: pictures of less contrast are shown from this quantile to the opposite one.
-Chosen by hand, for the eye.
+"""Pictures whose contrast is less than _DARK of the range are shown brighter: from the quantile
+_DARKEST to the opposite one. Chosen by hand, for the eye.
 """
 
 
@@ -169,7 +169,9 @@ def given_array(name: str, values: ArrayLike) -> NDArray[Any]:
     """
     array = np.ma.getdata(given_image(name, values))
     if np.ma.is_masked(values):
-        raise ValueError(f"{name} has masked values; it takes an array without, such as filled()")
+        raise ValueError(
+            f"{name} has masked values; it takes an array without a mask, such as {name}.filled()"
+        )
     return array
 
 
@@ -202,7 +204,7 @@ def given_image(name: str, values: ArrayLike) -> NDArray[Any]:
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise ValueError(f"{name} is no array: {error}") from None
+        raise ValueError(f"{name} is not an array: {error}") from None
 
 
 def prepare_light(

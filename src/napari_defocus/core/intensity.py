@@ -17,37 +17,39 @@ from numpy.typing import NDArray
 IntensityRange = tuple[float, float]
 
 _NEARLY = 0.25
-"""Noise and ringing may lead floats that are meant to lie in [0, 1] so far out of it. By hand."""
+"""How far noise and ringing may carry floats out of [0, 1], if they are meant to lie there. By
+hand.
+"""
 
 _WHOLE_RANGES = (255.0, 65535.0)
-"""Up to which whole numbers count as such of 8 bits, and of 16."""
+"""The largest whole numbers that count as 8 bits, and as 16."""
 
 _EXTREME, _MARGIN = 1e-3, 1.25
-"""Of the span between these quantiles, so much at most is contrast: a few hot pixels are none.
-Measured: docs/decisions.md, intensities.
+"""The contrast is at most _MARGIN times the span between the quantile _EXTREME and the opposite
+one, so that a few hot pixels do not count. Measured: docs/decisions.md, intensities.
 """
 
 _MANY = 2**20
-"""Values from which on not all of them are sorted, for quantiles and levels. Chosen by hand."""
+"""If there are more values than this, only some are sorted for quantiles and levels. By hand."""
 
 _LEAST_CONTRAST, _LEAST_OF_RANGE = 1e-6, 1e-15
-"""Of the largest intensity: what single precision rounds is no contrast. And of the range, whose
-square is still a number in single precision.
+"""The least contrast, as a share of the largest intensity: less is rounding of single precision.
+And as a share of the range: its square is still a number in single precision.
 """
 
 _CONTRAST_OF_NOISE = 30.0
-"""Standard deviations: what is up to noise is no contrast. Noise of 1e-3 is below it. By hand."""
+"""The least contrast, in standard deviations of the noise: less may be noise alone. By hand."""
 
 _FEWEST_LEVELS, _MOST_LEVELS = 9, 256
-"""Different values of a picture that was rounded to levels of its own: 8 bits at most. The least
-number is chosen by hand.
+"""How many different values a picture has that was rounded to levels: at most those of 8 bits. The
+least number is chosen by hand.
 """
 
 _FEW = 4096
-"""Values that are looked at first, whether there are few different ones. Chosen by hand."""
+"""Values that are looked at first, to see whether there are few different ones. By hand."""
 
 _OFF_THE_LEVEL = 0.25
-"""Of their distance: farther from levels, and they are none. Chosen by hand."""
+"""How far values may lie off the levels, as a share of their distance. Chosen by hand."""
 
 _ORIGINS = {
     "given": "given",

@@ -1,10 +1,10 @@
 """Kernels on several threads: each works on a band of rows, as numba compiles it for one thread.
 
-A kernel that is given its band, and sums in an order that its source fixes, gives the same bits
-on any number of threads. So no kernel of this package has numba's ``parallel=True``, which also
-takes two to four times as long to compile, and none has ``fastmath``: what that lets the compiler
-reorder depends on the processor, on what is inlined where, and on whether the kernel was compiled
-in this process or read from numba's cache.
+A kernel that gets its band, and sums in the order of its source, gives the same bits on any number
+of threads. So no kernel of this package has numba's ``parallel=True``, which also takes two to four
+times as long to compile. None has ``fastmath``, because it lets the compiler reorder sums. The
+order would depend on the processor, on what is inlined where, and on whether the kernel was
+compiled in this process or read from numba's cache.
 """
 
 from __future__ import annotations

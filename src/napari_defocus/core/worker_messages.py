@@ -16,7 +16,8 @@ import numpy as np
 Message = list[memoryview]
 
 _PIECE = 2**20
-"""Bytes that are written at once, about a millisecond, so that the sender can look up between."""
+"""Bytes that are written at once. It takes about a millisecond, so the sender can look up between.
+"""
 
 _NUMBER = struct.Struct("<Q")
 

@@ -47,20 +47,20 @@ POLL_INTERVAL = 0.05
 STARTING = "Starting another process"
 HANDING_OVER = "Handing over the work"
 LOADING = "Loading the program"
-"""Steps before those of the function: each only where it takes its time."""
+"""Steps before those of the function. Each is reported only if it takes time."""
 
 
 _PIPE = 2**20
-"""Bytes that wait to be read: with Linux' 64 KiB, 250 MB take up to 1.6 s, so 0.2 s."""
+"""Bytes that may wait to be read. With the 64 KiB of Linux, 250 MB take up to 1.6 s; so, 0.2 s."""
 
 _GRACE = 0.3
-"""Seconds that a call has to end at one of its reports, once it is not wanted any more."""
+"""Seconds that a call has to end at one of its reports when nobody wants it any more."""
 
 _NICENESS = 5
-"""So that a window that shows results has the processor first."""
+"""Lowers the priority, so that a window that shows results has the processor first."""
 
 _NO_MEMORY = 112
-"""Exit code of a process that has no memory for what it is told."""
+"""Exit code of a process that has no memory for what it receives."""
 
 _KILLED = getattr(signal, "SIGKILL", 9)
 

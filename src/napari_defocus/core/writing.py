@@ -92,7 +92,7 @@ def _refusal(target: Path, source: Path | None) -> str | None:
         return "it is a folder"
     if target.exists():
         if not target.is_file():
-            return "it is no regular file"
+            return "it is not a regular file"
         if source is not None and source.exists() and target.samefile(source):
             return "it is a file that is read"
     return _creation_failure(target.parent)

@@ -23,7 +23,7 @@ Float64 = NDArray[np.float64]
 RadiusOfDepth = Callable[[Float64], ArrayLike]
 
 _NOTHING = 1e-4
-"""Coverage that counts as none, above the rounding errors of the convolutions. By hand."""
+"""Coverage that counts as none; it is above the rounding errors of the convolutions. By hand."""
 
 
 def simulate_layered_defocus(
@@ -38,14 +38,14 @@ def simulate_layered_defocus(
     rng: int | np.random.Generator | None = None,
     intensity_range: tuple[float, float] | None = None,
 ) -> tuple[Float32, Float32]:
-    r"""Blur a sharp picture of a scene whose depth is known, with what hides what.
+    r"""Blur a sharp picture of a scene whose depth is known; near things hide far ones.
 
-    The scene is cut into layers. The light of each is spread by the PSF of its own scale, and
-    fills, nearest layer first, what the nearer ones leave of each pixel: no light of a sharp
-    foreground gets into the blurred background, a blurred foreground is transparent at its
-    edge, and layers of one surface add up without seams. What still is left was hidden in the
-    sharp picture: it is filled with the blurred colours of the nearest places that are farther
-    away. `simulate_defocus` knows no layers, and mixes both sides of every edge.
+    The scene is cut into layers. The light of each is spread by the PSF of its own scale. Beginning
+    with the nearest layer, each fills what the nearer ones leave of a pixel. So no light of a sharp
+    foreground gets into the blurred background, a blurred foreground is transparent at its edge,
+    and layers of one surface add up without seams. What is still left was hidden in the sharp
+    picture. It is filled with the blurred colours of the nearest places that are farther away.
+    `simulate_defocus` has no layers, and mixes both sides of every edge.
 
     With the mask :math:`m_l` of each layer, 1 in it and 0 elsewhere, and the kernel :math:`h_l`
     of its scale, light and coverage of layer l, the nearest being 1, are
@@ -55,7 +55,7 @@ def simulate_layered_defocus(
         a_l = \min\left(\alpha_l, \, 1 - \sum_{k < l} a_k\right), \qquad
         g = \frac{\sum_l c_l \, a_l / \alpha_l}{\sum_l a_l}
 
-    where what was hidden comes as more layers behind all others.
+    where what was hidden counts as more layers behind all others.
 
     Parameters
     ----------
@@ -63,16 +63,18 @@ def simulate_layered_defocus(
         The sharp picture; a fourth channel (opacity) is left out.
     depth : (H, W) array_like
         Any measure that grows with the distance, in any unit. NaN is unknown: it becomes the
-        farthest of the next known depths to the left, right, top and bottom, as what one of two
-        cameras does not see lies behind. Layers are equally thick in it, so let the scale be
-        about linear in it: for a lens, minus the disparity, or minus one over the distance.
+        farthest of the next known depths to the left, right, top and bottom, because places that
+        one of two cameras does not see lie behind. All layers are equally thick, so the scale
+        should be about linear in the depth: for a lens, take minus the disparity, or minus one
+        over the distance.
     radius_of_depth : callable or (H, W) array_like
-        Scale in px, within the family's domain: a function that is given the depth without
-        gaps, (H, W) float64, or its values. A layer has the mean of its pixels.
+        Scale in px, within the family's domain: a function of the depth, (H, W) float64 without
+        gaps, or its values. A layer has the mean scale of its pixels.
     psf : PSFFamily or callable, optional
     layers : int, optional
-        The largest number of layers. If there are no more depths than that, each is a layer.
-        Nothing hides what is less than the whole range divided by `layers` farther away.
+        The largest number of layers. If there are not more depths than that, each is a layer.
+        Things hide each other only if they are farther apart than the whole range divided by
+        `layers`.
     linearize : {"srgb"}, optional
         Decode the picture into linear light before, and encode it afterwards.
     noise_variance : float, optional
@@ -95,9 +97,9 @@ def simulate_layered_defocus(
     Raises
     ------
     TypeError, ValueError
-        If `image` is no picture (see `estimate_candidates`), `depth` or `radius_of_depth` has
+        If `image` is not a picture (see `estimate_candidates`), `depth` or `radius_of_depth` has
         another shape or no real numbers, `depth` is infinite or unknown everywhere, a scale is
-        outside the domain, `layers` is no whole number from 1 up, `linearize` is unknown, or
+        outside the domain, `layers` is not a whole number from 1 up, `linearize` is unknown, or
         `noise_variance` is negative.
 
     Examples

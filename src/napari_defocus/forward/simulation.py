@@ -22,9 +22,9 @@ def simulate_defocus(
     rng: int | np.random.Generator | None = None,
     intensity_range: tuple[float, float] | None = None,
 ) -> Float32:
-    r"""Blur a sharp picture by a map of scales and add noise, as (1) has it.
+    r"""Blur a sharp picture by a map of scales and add noise, as in (1).
 
-    Every output pixel gathers from its neighbours with the PSF of its own scale,
+    Every pixel of the result is a mean of its neighbours, weighted by the PSF of its own scale,
 
     .. math:: g[\mathbf{x}] = \sum_{\mathbf{u}} h_{r(\mathbf{x})}[\mathbf{u}]
         f[\mathbf{x} - \mathbf{u}] + n[\mathbf{x}], \qquad
@@ -57,7 +57,7 @@ def simulate_defocus(
     Raises
     ------
     TypeError, ValueError
-        If `image` is no picture (see `estimate_candidates`), if `blur_map` has another shape
+        If `image` is not a picture (see `estimate_candidates`), if `blur_map` has another shape
         or scales outside the domain, or if `noise_variance` is negative.
 
     Examples
@@ -83,7 +83,7 @@ def simulate_defocus(
 
 
 def noise_for(noise_variance: float, rng: int | np.random.Generator | None) -> np.random.Generator:
-    """Check the noise that a simulation is asked for, and return where it comes from."""
+    """Check the noise of a simulation, and return its source."""
     takes = "a finite number from 0 up (to 1e15)"
     check_number("noise_variance", noise_variance, lambda v: 0 <= v <= 1e15, takes)
     try:

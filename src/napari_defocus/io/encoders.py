@@ -23,7 +23,7 @@ _EARLIER_UNITS = {
     "outer radius (px)": "sqrt(1 + obstruction^2) times that",
     "equal-area radius (px)": "up to 1.1 times that",
 }
-"""What maps of some lenses held once, and what they hold now."""
+"""The old units of maps of some lenses, and how to convert them."""
 _CONFIDENCE_QUANTITY = "confidence of the blur map"
 
 COLOR_MAP = "viridis"
@@ -34,7 +34,7 @@ DEPTH_RANGE = (2, 98)
 """Percentiles of distances at the ends of the colour bar."""
 
 LEAST_DEPTH_RANGE = 0.01
-"""How far the ends of the colour bar are apart at least, as a share of the nearer one."""
+"""The least distance of the ends of the colour bar, as a share of the nearer one."""
 
 SHOWN_SIDE = (480, 1600)
 """Shortest and longest length, in px, of the longer side of a map that is drawn."""
@@ -53,10 +53,10 @@ def blur_map_tiff(
 ) -> bytes:
     """Encode a blur map, (..., H, W) in px, NaN where it is not trusted, as a TIFF file.
 
-    It is float32, deflate-compressed, a page a plane. Its ImageDescription is a JSON object that
-    says the quantity, the unit, the version of this package, the settings that made the map, the
-    shape, and what else is `made`, such as its source. The height and width of a pixel, in m,
-    become the resolution that other programs show.
+    It is float32, deflate-compressed, a page for each plane. Its ImageDescription is a JSON object.
+    It has the quantity, the unit, the version of this package, the settings that made the map, the
+    shape, and all of `made`, such as its source. The height and width of a pixel, in m, become the
+    resolution that other programs show.
     """
     return _tiff(blur_map, said_of_map(scale_name), settings, made, pixel_size)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import dask.array as da
 
 LEAST_SIDE = 1024
-"""px that a block of a lazy array has at least, if its file has smaller tiles or strips."""
+"""px: the least side of a block, if the file has smaller tiles or strips."""
 
 
 class RegionReader(Protocol):

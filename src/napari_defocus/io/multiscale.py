@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from napari_defocus.io.lazy_arrays import regions
 
 SMALLEST_LEVEL = 512
-"""px: the pyramid ends where no side is longer."""
+"""px: the pyramid ends at a level that has no longer side."""
 
 
 def level_shapes(shape: tuple[int, ...], row_axis: int) -> list[tuple[int, ...]]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import dask.array as da
 
 OUR_KEY = "napari_defocus"
-"""Where a store says what made it, beside the key "ome"."""
+"""The key of a store's attributes that says what made it, beside the key "ome"."""
 
 RGB_COLORS = ("FF0000", "00FF00", "0000FF")
 """Channels of these colours, in this order, are one picture in colour."""
@@ -57,8 +57,8 @@ def read_ome_zarr(path: str | os.PathLike[str]) -> OmeZarrPicture:
     """Read an OME-Zarr store of version 0.4 or 0.5, lazily: its first multiscale picture.
 
     A store that bioformats2raw made of one picture is read as that picture. UnreadablePicture is
-    raised if there is no such folder, it is no OME-Zarr store, holds a plate or several pictures
-    (the message says which folder to give), has no real numbers, or no axes y and x.
+    raised if there is no such folder, or it is not an OME-Zarr store, holds a plate or several
+    pictures (the message says which folder to give), has no real numbers, or no axes y and x.
 
     Examples
     --------
@@ -112,13 +112,13 @@ def _opened(path: Path) -> Any:
     if not path.exists():
         raise ValueError("there is no such folder")
     if not path.is_dir():
-        raise ValueError("it is no folder, as OME-Zarr stores are")
+        raise ValueError("it is not a folder, as OME-Zarr stores are")
     if (path / ".zarray").is_file() or _is_array(path):
         raise ValueError("it is one level of a picture; give the folder that it is in")
     try:
         return zarr.open_group(path, mode="r")
     except FileNotFoundError as error:
-        raise ValueError("it is no OME-Zarr store: it has no zarr.json or .zgroup") from error
+        raise ValueError("it is not an OME-Zarr store: it has no zarr.json or .zgroup") from error
 
 
 def _is_array(path: Path) -> bool:
@@ -141,11 +141,11 @@ def _only_picture_below(path: Path, about: Mapping[str, Any], groups: list[str])
         if pictures:
             first = path / min(pictures, key=int)
             raise ValueError(f"it holds {len(pictures)} pictures; give one, such as {first}")
-    raise ValueError("it is no OME-Zarr picture: it has no multiscales")
+    raise ValueError("it is not an OME-Zarr picture: it has no multiscales")
 
 
 _LETTER_OF_TYPE = {"channel": "c", "time": "t"}
-"""Of axes that a store declares as such, whatever it calls them."""
+"""The letters of axes whose type a store declares, whatever their names are."""
 
 
 def _letters(declared: list[dict[str, Any]]) -> str:

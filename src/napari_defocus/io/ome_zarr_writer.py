@@ -184,10 +184,10 @@ def new_ome_zarr(
 ) -> OmeZarrWriter:
     """Begin an OME-Zarr 0.5 store, beside its place and under a hidden name, `.NAME.part`.
 
-    The same values are the same bytes. A part that an interrupted run left behind is gone on
-    with if `resume` is set and it is of the same shape, dtype, axes, tile and attributes; else
-    it is thrown away. What an interruption at the very end of an earlier run left aside is put
-    back first.
+    The same values make the same bytes. An interrupted run leaves a part. With `resume`, it is
+    continued if it has the same shape, dtype, axes, tile and attributes; otherwise it is thrown
+    away. A store that an interruption at the very end of an earlier run moved aside is put back
+    first.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def _check_target(path: Path, force: bool) -> None:
     if not path.parent.is_dir():
         refusal = f"there is no folder {path.parent}"
     elif path.exists() and not is_zarr(path):
-        refusal = "it exists, and is no Zarr store"
+        refusal = "it exists, and is not a Zarr store"
     if refusal:
         raise UnwritableResult(f"cannot write {path}: {refusal}")
     if path.exists() and not force:

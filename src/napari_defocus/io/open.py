@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.checks import renamed
 from napari_defocus.core.extras import need_large_extra
+from napari_defocus.io.file_kinds import is_raw
 from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
 from napari_defocus.io.picture_files import Inputs, as_paths, find_sources, naturally
@@ -22,6 +23,7 @@ from napari_defocus.io.pictures import (
     UnreadablePicture,
     is_tiff,
     picture_form,
+    read_frame,
     read_picture,
     reading,
 )
@@ -118,18 +120,32 @@ class _Photograph:
         return read_picture(self.path)[region]
 
 
+@dataclass(frozen=True, eq=False)
+class _Animation:
+    """An animation as a reader of regions: each frame is decoded whole."""
+
+    path: Path
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    def __getitem__(self, region: tuple[slice, ...]) -> NDArray[Any]:
+        numbers = range(*region[0].indices(self.shape[0]))
+        return np.stack([read_frame(self.path, number) for number in numbers])[:, *region[1:]]
+
+
 def open_source(path: str | os.PathLike[str]) -> Source:
     """Open a photograph, a stack or a slide; no pixels are read.
 
-    - PNG, JPEG, WebP, BMP: what `read_picture` gives, as one block.
+    - PNG, JPEG, WebP, BMP, GIF, HEIC and raw files: what `read_picture` gives, as one block. Of
+      an animation each frame is a plane along t, and a block.
     - TIFF of one page, or of many (ImageJ, OME-TIFF, LSM, STK, slides), tiled or not: the
-      largest level of the picture, without labels and previews beside it, of which tiles, strips
-      or parts of an uncompressed page are read. Values, colours and orientation are as
-      `read_picture` gives them; pixel size and units as `pixel_size_in_tiff`. Planes that an
-      OME-TIFF tells of, but that were not recorded or whose file is missing, are 0.
-    - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels that
-      the store says are pure red, green and blue become colours; all other channels are planes,
-      even three of uint8, because a store does not say that they belong together.
+      largest level of the picture, without labels and previews. Tiles, strips, or parts of an
+      uncompressed page are read one by one. Values, colours and orientation are those of
+      `read_picture`; pixel size and units those of `pixel_size_in_tiff`. An OME-TIFF may name
+      planes that were not recorded, or whose file is missing: they are 0.
+    - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels become
+      colours if the store says that they are pure red, green and blue. All other channels are
+      planes, even three of uint8, because a store does not say that they belong together.
 
     Parameters
     ----------
@@ -165,15 +181,25 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     path = Path(path)
     if path.is_dir():
         if not is_zarr(path):
-            raise UnreadablePicture(f"cannot read {path}: it is a folder, and no OME-Zarr store")
+            raise UnreadablePicture(
+                f"cannot read {path}: it is a folder, but not an OME-Zarr store"
+            )
         return _zarr_source(path)
     with reading(path):
-        if is_tiff(path):
+        if is_tiff(path) and not is_raw(path):
             data, axes, (pixel_size, units) = open_tiff(path)
             return Source(path, data, axes, pixel_size, units)
-        reader = _Photograph(path.absolute(), *picture_form(path))
-        axes = "yxs"[: len(reader.shape)]
-        return Source(path, lazy_array(reader, reader.shape), axes, {}, {})
+        return Source(path, *_photograph(path), {}, {})
+
+
+def _photograph(path: Path) -> tuple[da.Array, str]:
+    """Return a photograph, or the frames of an animation, and their axes."""
+    frames, shape, dtype = picture_form(path)
+    axes = "yxs"[: len(shape)]
+    if frames == 1:
+        return lazy_array(_Photograph(path.absolute(), shape, dtype), shape), axes
+    animation = _Animation(path.absolute(), (frames, *shape), dtype)
+    return lazy_array(animation, (1, *shape)), f"t{axes}"
 
 
 def _zarr_source(path: Path) -> Source:

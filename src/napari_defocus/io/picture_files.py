@@ -14,13 +14,13 @@ from napari_defocus.io.ome_zarr import is_zarr
 from napari_defocus.io.pictures import UnreadablePicture
 from napari_defocus.io.provenance import SOFTWARE, is_picture, mark_of
 
-_PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+_PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".heic", ".heif")
 _SLIDES = (".svs", ".ndpi", ".scn", ".qptiff", ".bif", ".lsm", ".stk", ".btf", ".tf8")
 PICTURE_SUFFIXES = (*_PHOTOGRAPHS, ".tif", ".tiff", *_SLIDES)
 """Files of folders and patterns that are taken for pictures; the slides are kinds of TIFF."""
 
 FOLDER, RESULT, NO_ENDING = "folder", "result", "no ending"
-"""What is left out and has no ending that would say what it is."""
+"""Kinds of files that are left out and have no ending of their own."""
 
 _TOLD = {
     FOLDER: ("folder", "folders"),
@@ -176,8 +176,8 @@ def _checked(path: Path) -> Path:
     if not is_picture(mark):
         what = mark.get("quantity") or "result"
         raise UnreadablePicture(
-            f"cannot read {path}: it is no picture, but a result of {SOFTWARE} ({what}); folders, "
-            "and patterns in quotation marks, leave results out"
+            f"cannot read {path}: it is not a picture but a result of {SOFTWARE} ({what}); "
+            "folders, and patterns in quotation marks, leave results out"
         )
     return path
 

@@ -7,24 +7,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from struct import unpack
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from napari_defocus.core.writing import in_one_line
+from napari_defocus.io.camera_files import decode_heic, decode_raw
+from napari_defocus.io.file_kinds import is_heic, is_raw, kind_of
 from napari_defocus.io.tiff_series import picture_number, told_choice
 
-PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
-"""What Pillow may decode; some of its other formats start programs (EPS) or have no pixels."""
+PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF")
+"""What Pillow may decode. Some of its other formats start programs (EPS) or have no pixels."""
 
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_BIT_DEPTH_AT = 24
 
 _OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError)
-"""What decoders raise that did not expect what they met; it tells a reader of files little."""
+"""Errors that decoders raise by accident on damaged files. Their text tells a user little."""
 
 
 class UnreadablePicture(ValueError):
@@ -48,7 +50,7 @@ def reading(path: str | os.PathLike[str]) -> Iterator[None]:
     except UnreadablePicture:
         raise
     except Exception as error:
-        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error)}") from error
+        raise UnreadablePicture(f"cannot read {path}: {reading_failure(error, path)}") from error
 
 
 def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
@@ -61,7 +63,9 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF, WebP or BMP file; slides of many makers are TIFF.
+        A PNG, JPEG, TIFF, WebP, BMP or GIF file; slides of many makers are TIFF. HEIC pictures
+        of phones are read with the extra "heic", raw files of cameras with the extra "raw": these
+        are developed into linear light, as RGB of 16 bits.
 
     Returns
     -------
@@ -71,9 +75,9 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     Raises
     ------
     UnreadablePicture
-        If there is no such file, it holds no picture, is cut off or damaged, holds more than
-        one plane, or several pictures of which none is clearly the one, has an unknown colour
-        model, or has more pixels than Pillow accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
+        If there is no such file, it holds no picture, is cut off or damaged, is a stack or an
+        animation, holds several pictures of similar size, has an unknown colour model, or has
+        more pixels than Pillow accepts (twice `PIL.Image.MAX_IMAGE_PIXELS`).
 
     Examples
     --------
@@ -104,36 +108,58 @@ def told_choice_in(path: str | os.PathLike[str]) -> str:
     return ""
 
 
-def picture_form(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return the shape and dtype that `read_picture` gives, but of no TIFF.
+class PictureForm(NamedTuple):
+    """The frames of an animation, 1 of a single picture, and the shape and dtype of each."""
 
-    Pixels are decoded of PNG with 16 bits alone: damage may be found only when they are read.
+    frames: int
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+def picture_form(path: Path) -> PictureForm:
+    """Return what `read_picture` or `read_frame` give, but of no TIFF.
+
+    Pixels are decoded only where that is the way to know: PNG with 16 bits, HEIC and raw files.
+    Elsewhere damage may be found only when they are read.
     """
     with reading(path):
-        if _is_deep_png(path):
+        if _is_deep_png(path) or is_heic(path) or is_raw(path):
             picture = read_picture(path)
-            return picture.shape, picture.dtype
+            return PictureForm(1, picture.shape, picture.dtype)
         with _opened(path) as (image, orientation):
             width, height = image.size[::-1] if orientation in (5, 6, 7, 8) else image.size
             mode = _mode(image)
             channels = {"1": (), "L": (), "RGB": (3,), "RGBA": (4,)}[mode]
-            return (height, width, *channels), np.dtype(bool if mode == "1" else np.uint8)
+            dtype = np.dtype(bool if mode == "1" else np.uint8)
+            return PictureForm(_frames(image), (height, width, *channels), dtype)
+
+
+def read_frame(path: Path, number: int) -> NDArray[Any]:
+    """Return a frame of an animation, as a viewer shows it: what changes is drawn on the rest."""
+    with reading(path), _opened(path) as (image, orientation):
+        mode = _mode(image)
+        image.seek(number)
+        return np.ascontiguousarray(upright(np.asarray(image.convert(mode)), orientation))
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Image.Image, int]]:
     """Lend a picture of which no pixels are decoded yet, and its orientation."""
     with Image.open(path, formats=PILLOW_FORMATS) as image:
-        orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
-        if getattr(image, "is_animated", False) and image.format != "MPO":
-            raise ValueError("it is animated; single pictures are read")
-        yield image, orientation
+        yield image, int(image.getexif().get(ExifTags.Base.Orientation, 1))
+
+
+def _frames(image: Image.Image) -> int:
+    """Return how many frames an animation has; a JPEG with previews beside it (MPO) is none."""
+    return 1 if image.format == "MPO" else int(getattr(image, "n_frames", 1))
 
 
 def _mode(image: Image.Image) -> str:
-    """Return in which of Pillow's modes a picture is read."""
+    """Return in which of Pillow's modes a picture is read, and all frames of an animation."""
     if image.has_transparency_data:
         return "RGBA"
+    if _frames(image) > 1:
+        return "RGB"
     return image.mode if image.mode in ("1", "L") else "RGB"
 
 
@@ -150,9 +176,17 @@ def _is_deep_png(path: Path) -> bool:
 
 
 def _decode(path: Path) -> tuple[NDArray[Any], int]:
+    if is_raw(path):
+        return decode_raw(path), 1
     if is_tiff(path):
         return _decode_tiff(path)
+    if is_heic(path):
+        return _opacity_last(decode_heic(path)), 1
     with _opened(path) as (image, orientation):
+        if (frames := _frames(image)) > 1:
+            raise ValueError(
+                f"it is an animation of {frames} frames; napari-defocus batch measures each frame"
+            )
         # Pillow cuts 16-bit colour down to 8 bits.
         if _is_deep_png(path):
             import imagecodecs
@@ -180,13 +214,17 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
 def _single_plane(tiff: Any) -> Any:
     series = tiff.series[picture_number(tiff)]
     if series.axes not in ("YX", "YXS", "SYX"):
-        shape = " x ".join(map(str, series.shape))
         raise ValueError(
-            f"it is a stack of shape {shape} (axes {series.axes}); "
-            "napari-defocus batch reads stacks, plane by plane"
+            f"it is {_told_stack(series)}; napari-defocus batch reads stacks, plane by plane"
         )
     _refuse_bomb(series.keyframe.imagelength * series.keyframe.imagewidth)
     return series
+
+
+def _told_stack(series: Any) -> str:
+    if not series.shape:
+        return "a TIFF without a picture"
+    return f"a stack of {' x '.join(map(str, series.shape))} (axes {series.axes})"
 
 
 def _refuse_bomb(pixels: int) -> None:
@@ -270,14 +308,14 @@ def upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     return pixels
 
 
-def reading_failure(error: Exception) -> str:
+def reading_failure(error: Exception, path: str | os.PathLike[str]) -> str:
     """Return, in one line, why a file could not be read."""
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, IsADirectoryError):
         return "it is a folder"
     if isinstance(error, UnidentifiedImageError):
-        return "it is no picture (PNG, JPEG, TIFF, WebP or BMP)"
+        return kind_of(Path(path))
     if isinstance(error, MemoryError):
         return "there is not enough memory for it"
     if isinstance(error, _OF_PROGRAMS):

@@ -23,7 +23,7 @@ ALL_IN_FOCUS, REFOCUSED = "all-in-focus picture", "refocused picture"
 SHARPEST_PIXELS = "picture of the sharpest pixels"
 
 _PICTURES = (ALL_IN_FOCUS, REFOCUSED, SHARPEST_PIXELS, "all in focus", "refocused")
-"""Quantities of results that can be measured as any other picture; the last two are napari's."""
+"""Quantities of results that can be measured like other pictures. The last two are napari's."""
 
 
 def signature() -> dict[str, str]:

@@ -17,10 +17,12 @@ from napari_defocus.psf import BLUR_RADIUS
 from napari_defocus.settings import MapSettings, MaskSettings, RefocusSettings, RestorationSettings
 
 VERSION_KEY = "napari_defocus"
-"""Under which a file says what version wrote it."""
+"""The key under which a file says which version wrote it."""
 
 UNIT_KEY = "unit"
-"""Under which a file that we wrote says what its px are: once, some lenses had others."""
+"""The key under which a file says what its px mean: for some lenses, they once meant something
+else.
+"""
 
 _NAME_OF_TYPE = {
     bool: "true or false",
@@ -88,17 +90,17 @@ class Settings:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
-        """Read settings that `save` or somebody's editor wrote.
+        """Read settings that `save` wrote, or that were edited.
 
-        Parts and keys that are not there have their defaults. A measured lens (.npz) is not
-        looked for yet; its path counts from where it is used.
+        Parts and keys that are missing have their defaults. A measured lens (.npz) is not opened
+        yet; a relative path of it counts from the folder where it is used.
 
         Raises
         ------
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is no JSON, or a part, a key or a value cannot be; the message has the file,
+            If it is not JSON, or a part, a key or a value cannot be; the message has the file,
             the key, what it got and what it takes.
         """
         said = said_in(path)
@@ -124,7 +126,7 @@ def _not_for_json(parts: Mapping[str, Mapping[str, Any]]) -> str:
         for key, value in values.items():
             if not isinstance(value, str | int | float | None):
                 return f"{part}.{key} is {value!r}"
-    return "a key is no text"
+    return "a key is not text"
 
 
 def said_in(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
@@ -147,9 +149,9 @@ def said_in(path: str | PathLike[str]) -> dict[str, dict[str, Any]]:
     except FileNotFoundError:
         raise FileNotFoundError(f"cannot read {path}: there is no such file") from None
     except json.JSONDecodeError as error:
-        raise ValueError(f"cannot read {path}: it is no JSON ({error})") from None
+        raise ValueError(f"cannot read {path}: it is not JSON ({error})") from None
     except UnicodeDecodeError:
-        raise ValueError(f"cannot read {path}: it is no JSON, which is UTF-8 text") from None
+        raise ValueError(f"cannot read {path}: it is not JSON, which is UTF-8 text") from None
     except RecursionError:
         raise ValueError(f"cannot read {path}: it is nested too deeply for settings") from None
     except ValueError as error:

@@ -21,13 +21,13 @@ SYMBOLS_OF_UNIT = {
     "hour": ("h", "hr"),
     "day": ("d",),
 }
-"""How OME-XML, and then others, write units, which are in the spelling of UDUNITS and OME-Zarr."""
+"""How OME-XML writes each unit, and then others. The keys are the names of UDUNITS and OME-Zarr."""
 
 MICROMETERS = {
     **{"angstrom": 1e-4, "nanometer": 1e-3, "micrometer": 1.0, "millimeter": 1e3},
     **{"centimeter": 1e4, "inch": 25_400.0, "meter": 1e6},
 }
-"""Of units of length."""
+"""The length of each unit, in micrometers."""
 
 _CENTIMETERS = 3
 _ESCAPED_MICRO = "\\u00B5"

@@ -32,12 +32,12 @@ _NO_PAGE = -1
 
 @dataclass(frozen=True, eq=False)
 class TiffPages:
-    """Planes of one form, each a page of a file, of which regions are decoded; colours last.
+    """Planes of one form, each a page of a file; regions are decoded, colours are last.
 
-    `file_of` and `offsets`, in the shape of the axes before rows, say which of the files a plane is
-    in, and where its page is described there; -1 for planes that were not recorded, which are 0.
-    Palettes that are ImageJ's tables of display colours do not count: values are `as_stored`. The
-    last axis before rows can be that of channels that lie `apart` in each page, as in LSM.
+    `file_of` and `offsets` have the shape of the axes before rows. They say which file a plane is
+    in, and where its page is described there; -1 stands for planes that were not recorded, which
+    are 0. Palettes that are ImageJ's display colours do not count: values are `as_stored`. The last
+    axis before rows can be that of channels that lie `apart` in each page, as in LSM.
     """
 
     files: tuple[str, ...]
@@ -114,9 +114,9 @@ class TiffMemory:
 def open_tiff(path: Path) -> tuple[da.Array, str, PixelSize]:
     """Open the largest level of the picture, or stack, in a TIFF.
 
-    Its data, (..., H, W) or (..., H, W, 3 or 4), are read when they are computed; there is a letter
-    an axis, s of colours, and what `pixel_size_in_tiff` gives. ValueError is raised if the file
-    holds several pictures, is cut off, or holds what is no picture.
+    Returns the data, (..., H, W) or (..., H, W, 3 or 4), which are read when they are computed; a
+    letter for each axis, s for colours; and what `pixel_size_in_tiff` returns. ValueError is raised
+    if the file holds several pictures or none, or is cut off.
     """
     import tifffile
 

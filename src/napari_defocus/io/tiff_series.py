@@ -9,10 +9,10 @@ _BASELINE = "baseline"
 """What tifffile calls the picture that a slide is about."""
 
 _BESIDE = ("label", "macro", "map", "overview", "preview", "thumbnail")
-"""How names of pictures begin that slides have beside it."""
+"""The first words in the names of pictures that slides have beside the main one."""
 
 _LARGEST_EXTRA = 0.25
-"""Pictures of fewer pixels than this share of the largest are taken to be its previews."""
+"""A picture with fewer pixels than this share of the largest one's counts as its preview."""
 
 _MOST_LISTED = 6
 

@@ -23,7 +23,7 @@ TILE = 512
 """px of a tile's side."""
 
 _LARGE = 2**32 - 2**25
-"""Bytes of all levels, not compressed, above which offsets take 64 bits."""
+"""If all levels have more bytes than this before compression, offsets take 64 bits."""
 
 _BUFFER = 2**24
 """Bytes of tiles that are compressed at a time."""
@@ -49,10 +49,9 @@ def write_pyramidal_tiff(
     """Write a map, a picture or a stack as a tiled TIFF with smaller levels.
 
     It appears whole or not at all. A row of tiles, or of dask's blocks, is computed and held at a
-    time, and each is computed once if blocks hold one plane: smaller levels wait in scratch
-    files without a name beside `path`, which take a third of the data's bytes. Planes
-    along t, c and z make it an OME-TIFF; along others, `axes` of the description
-    says so.
+    time. Each is computed once if blocks hold one plane. Smaller levels wait in scratch files
+    without a name beside `path`, which take a third of the data's bytes. Planes along t, c and z
+    make it an OME-TIFF. Other axes are named in `axes` of the description.
 
     Parameters
     ----------

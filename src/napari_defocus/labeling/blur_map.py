@@ -45,13 +45,15 @@ REACH = 6
 """How far, in px, a discontinuity may be moved off the blocks at once."""
 
 CURVE_WEIGHT = np.float32(24)
-"""Of the curves' depth as data term, against the penalty (15)."""
+"""Weight of the curves as data term, against the penalty (15)."""
 
 _LEAST_SMOOTHNESS = 1e-12
-"""Of the sums of pairwise weights, so that their quotient is defined."""
+"""The least sum of pairwise weights, so that it can be divided by."""
 
 _HOLD = 12.0
-"""Of the smoothness, for each label that the rim of a part differs from the whole picture's."""
+"""At the rim of a tile, labels are held to those of the whole picture: each label of difference
+costs this many times the smoothness.
+"""
 
 
 def extrapolated(problem: LabelingProblem) -> NDArray[np.bool_]:
@@ -172,11 +174,11 @@ def labeling_energy(
     color_sigma: float = MapSettings.color_sigma,
     intensity_range: tuple[float, float] | None = None,
 ) -> float:
-    """Evaluate what `label_blur_map` minimises, (14), for any map, pixel by pixel.
+    """Evaluate the energy (14), which `label_blur_map` minimises, for any map.
 
-    Every pixel pays the data term of its label, interpolated between the windows, and every pair
-    of 8-neighbours the difference of their labels times the weight (16). Of two maps of one
-    picture, the one with less energy is the better compromise, for these candidates.
+    Every pixel costs the data term of its label, interpolated between the windows. Every pair of
+    8-neighbours costs the difference of their labels times the weight (16). If two maps of one
+    picture are compared, the one with less energy is the better compromise for these candidates.
 
     Parameters
     ----------
@@ -195,7 +197,7 @@ def labeling_energy(
     TypeError
         If `image` has no real dtype or `blur_map` holds no real numbers.
     ValueError
-        If `blur_map` has not the shape of the picture, or values that are not finite or outside
+        If `blur_map` has another shape than the picture, or values that are not finite or outside
         the scales of `candidates`, and as in `label_blur_map`.
 
     Examples

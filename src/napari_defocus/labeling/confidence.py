@@ -27,46 +27,50 @@ _JUMP_SIDE = 31
 """px, side of the square around a pixel in which jumps of the map lower its confidence."""
 
 _ROUNDING = 1e-4
-"""px: what scales differ by for no more than their rounding."""
+"""px: differences of scales up to this are rounding."""
 
 _TEMPER = 0.7
 """Power of the likelihood that the confidence takes: by benchmarks/confidence.py."""
 
 _WEIGHTS = (0.288, -0.234, 1.491, 0.115, -0.109, -0.072, 0.148, -0.801, -3.599)
-"""Of `features_of`, in their order, and what is added; fitted by benchmarks/confidence.py, which
-also says what they are worth."""
+"""Weights of `features_of`, in their order, and the constant. Fitted by benchmarks/confidence.py,
+which also says what each one gains.
+"""
 
 _CONTRADICTED, _PER_UNIT = -4.0, 0.8
-"""Log odds of the share below which the likelihood contradicts the map, and what each unit takes
-off the logit. By hand, for maps that others made: of our own, 0.4 % of the windows are there."""
+"""Below these log odds of the share, the likelihood contradicts the map, and each unit below lowers
+the logit by so much. By hand, for maps that others made; in our own, 0.4 % of the windows do so.
+"""
 
 _LEAST_ODDS, _LEAST_JUMP, _LEAST_AWAY = 5e-4, 0.05, 0.1
-"""Below which shares of likelihood, jumps in px, and tolerances between the map and the likeliest
-radius make no difference; chosen by hand."""
+"""Smaller shares of the likelihood, jumps in px, and distances (in tolerances) between the map and
+the likeliest radius count as these. Chosen by hand.
+"""
 
 _HARDLY, _CLEARLY = 1.6, 2.5
-"""px: how far a blur of less can hardly be told from a camera's own, and of more clearly can."""
+"""px: smaller blur can hardly be told from a camera's own; larger blur than the second clearly can.
+"""
 
 _LEAST_NOISE = 1e-7
-"""Variance, for a contrast of 1, below which noise makes no difference; chosen by hand."""
+"""A smaller noise variance, for a contrast of 1, counts as this. Chosen by hand."""
 
 _USUAL_STRENGTH = 10.0
-"""Where it is not known: that of texture."""
+"""The strength of texture, for windows whose strength is not known."""
 
 _MOST_STRENGTH = 12.0
-"""Logarithm of power relative to noise: more makes no difference; chosen by hand."""
+"""A larger logarithm of power relative to noise counts as this. Chosen by hand."""
 
 _AROUND = 24.0
 """px: standard deviation of the Gaussian over which directions are averaged."""
 
 _REACH = 3.0
-"""Standard deviations: so far it reaches, as tiles see no further."""
+"""Standard deviations at which that Gaussian ends, because tiles see no farther."""
 
 _ISOTROPIC = 1.0
-"""d of `signs`: up to here, a preferred direction is as usual; chosen by hand."""
+"""A smaller preferred direction d (`likelihood/signs.py`) is usual, and does not count. By hand."""
 
 _CAUTION_SIGMA = 8.0
-"""px, over which what is taken off a map is smoothed."""
+"""px: standard deviation of the Gaussian that smooths the reduction of a map."""
 
 
 def map_confidence(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:

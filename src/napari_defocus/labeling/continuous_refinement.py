@@ -34,17 +34,18 @@ Float64 = NDArray[np.floating]
 Slices = tuple[slice, slice]
 
 _REFERENCE_STRIDE = 4
-"""px: for windows so far apart the weights below hold."""
+"""px: the weights below hold for windows at this distance."""
 
 _SLOPE_WEIGHT, _BEND_WEIGHT = 1.0, 3e4
 """lambda_1 and lambda_2, in 1 / px^2, at the usual smoothness: on ramps and bumps, first
 differences alone flatten bumps (0.42 instead of 0.33 px; docs/decisions.md)."""
 
 _LEAST_WEIGHT = 0.02
-"""Of an edge, as a share of lambda_0: no region hangs in the air. Chosen by hand."""
+"""The least weight of an edge, as a share of lambda_0, so that all regions are connected. By hand.
+"""
 
 _REACH = 14
-"""Labels on both sides of a window's own whose likelihood makes its mean and variance: 1.4 px."""
+"""The labels within this distance of a window's own give its mean and variance: 1.4 px."""
 
 _TEMPER = 0.8
 """Power of the likelihood there, as its windows overlap; chosen on ramps and bumps."""
@@ -53,26 +54,27 @@ _LEAST_VARIANCE = 0.02**2
 """px^2: no window knows its radius better."""
 
 _LEAST_EVIDENCE = 1e-12
-"""Of every window, as a share of the largest weight of the differences."""
+"""The least weight of a window, as a share of the largest weight of the differences."""
 
 _ROUNDS = 3
-"""Of iteratively reweighted least squares (IRLS); more change nothing that is seen."""
+"""Rounds of iteratively reweighted least squares (IRLS). More rounds change nothing visible."""
 
 _STEPS_A_ROUND = 3
-"""Of conjugate gradients after the first round, preconditioned by its factorisation."""
+"""Steps of conjugate gradients in later rounds, with the factors of the first as preconditioner."""
 
 _LEAST_PLACES = 512
 """The fewest places that are worth a thread."""
 
 _SAY_OF_DISPLACED = 0.1
-"""Weight of windows that were moved inside the picture: they say little of its border."""
+"""Weight of windows that were moved inside the picture: they say little about its border."""
 
 _TILE = 256
-"""Windows a side of a tile of the refinement: 1024 px, as tiles of large pictures have."""
+"""Windows along the side of a tile: 1024 px, as for tiles of large pictures."""
 
 _OVERLAP, _MARGIN = 128, 32
 """px that tiles see around themselves; what is farther away has hardly any influence. And px on
-both sides of a border over which one tile goes over into the next."""
+both sides of a border over which tiles are blended.
+"""
 
 
 def refine_labels(

@@ -20,7 +20,7 @@ from napari_defocus.likelihood.prior import log_prior
 Float32 = NDArray[np.float32]
 
 EXTRAPOLATED = 0.5
-"""Below this share of evidence, a map is counted as extrapolated from around."""
+"""If the evidence is below this share, a map has its value from around."""
 
 KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
 """The kernel that widens candidates into an artificial likelihood (Section III-B)."""

@@ -37,7 +37,7 @@ Places = NDArray[np.int64]
 _STEP = "Choosing labels"
 
 _COARSEST = 2600
-"""Costs of one label, and so nodes, of the coarsest grid at most: it is solved exactly."""
+"""The most nodes of the coarsest grid, which is solved exactly."""
 
 _COARSE_STEP = 4
 """There, every 4th label is a choice (every 2nd: no better a map, three times the time)."""
@@ -46,7 +46,7 @@ _EVERYWHERE = 8
 """On finer grids, every 8th label is offered to all nodes."""
 
 _LEAST_GAIN = 1e-6
-"""Of the energy: expansions go on while a round gains as large a share."""
+"""Expansions go on while a round gains at least this share of the energy."""
 
 _NEVER = 1e12
 """Capacity of edges that no cut may separate; energies stay far below."""
@@ -55,7 +55,7 @@ _ROUNDS = 10
 """Of message passing to and fro before a cut: speed only, the cut is the same."""
 
 _SHARE = np.float32(0.25)
-"""Of a node's cost that it lets each neighbour have: a node has 4 edges on either side."""
+"""The share of a node's cost that each neighbour gets: a node has 4 edges on either side."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """From a node to the half of its 8 neighbours that comes after it: row and column steps."""
 
 _RELAXATION = np.float32(0.4)
-"""Of its edges' weights, what a joined node pays to leave the common label: all of it would count
-edges inside of the joined node, too. Chosen by the energy on ramps and photographs."""
+"""Share of its edges' weights that a joined node pays to leave the common label. With 1, edges
+inside of the joined node would count as well. Chosen by the energy on ramps and photographs.
+"""
 
 
 def positions_of(data: Float32, position: Labels | None) -> Labels:

@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 Ingredients = tuple[BlurCandidates, ArrayLike, tuple[float, float] | None]
 
 _REMEMBERED = 2
-"""Problems that a worker process keeps: the picture that is worked on, and the one before."""
+"""Problems that a worker process keeps: that of this picture and that of the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class LabelingProblem:
         TypeError
             If `image` has no real dtype, or `candidates` are not those of one picture.
         ValueError
-            If it is no picture, or another one than that of `candidates`.
+            If it is not a picture, or another one than that of `candidates`.
         """
         check_candidates(candidates)
         picture = _picture_of(candidates, image, intensity_range)

@@ -30,7 +30,7 @@ _CSV_DIGITS = 6
 
 @dataclass(frozen=True, eq=False)
 class RegionTable:
-    """Numbers of regions, one row each.
+    """Measurements of regions, one row each.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def measure_regions(
 ) -> tuple[NDArray[np.int32], RegionTable]:
     """Number the regions that are in focus, and measure them.
 
-    Pixels in focus that touch, diagonally too, are one region. The largest one is number 1.
+    Pixels in focus that touch, also diagonally, are one region. The largest one is number 1.
 
     Parameters
     ----------
@@ -103,16 +103,16 @@ def measure_regions(
     pixel_size : float or (float, float), optional
         Height and width of a pixel, in `unit`; one number for both.
     unit : str, optional
-        Of `pixel_size`, such as "um"; it names the column of the area.
+        The unit of `pixel_size`, such as "um". It becomes part of the column's name.
     min_area : int, optional
-        Regions of fewer px are left out: they are 0 among the labels, and in no row.
+        Regions of fewer px are left out: they get the label 0 and no row.
 
     Returns
     -------
     labels : (H, W) int32 ndarray
-        0 blurred, and the number of its region in focus.
+        0 where blurred, and the number of the region where in focus.
     table : RegionTable
-        First a row of all that is blurred (index 0), then one row a region.
+        The first row is all that is blurred (index 0). Then each region has a row.
 
     Raises
     ------

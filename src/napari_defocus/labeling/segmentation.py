@@ -25,13 +25,15 @@ Float32 = NDArray[np.float32]
 
 _STEP = "Separating focus from blur"
 _CURVE_WEIGHT = np.float32(10)
-"""Of the data term (18), against the smoothness of masks: at most 150 a window of one pixel."""
+"""Weight of the data term (18) against the smoothness: at most 150 for a window of one pixel."""
 
 _BLOCK_SHARE = 0.3
-"""Of the smoothness, what blocks pay: with all of it small things vanish (docs/decisions.md)."""
+"""The share of the smoothness that counts between blocks. With all of it, small things vanish
+(docs/decisions.md).
+"""
 
 _NEVER = np.float32(1e12)
-"""Cost of what must not be; energies stay far below, and single precision holds it."""
+"""Cost of what must not happen. Energies stay far below, and single precision holds it."""
 
 
 def labeled_mask(

@@ -16,8 +16,8 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
 _WINDOWS_A_BLOCK, _LEAST_ROWS = 32768, 12
-"""Windows, about, and rows of them, at least, that are worked on at once: they share their lines
-of filtered pixels, and progress is reported between. Chosen by hand; results do not depend on it.
+"""About so many windows, in at least so many rows, are worked on at once. They share their lines of
+filtered pixels, and progress is reported between blocks. By hand; results do not depend on it.
 """
 
 

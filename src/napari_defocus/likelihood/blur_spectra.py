@@ -21,7 +21,7 @@ LABEL_STEP = 0.1
 """Distance between the scales of a curve and of the labels, in px (Section IV)."""
 
 INDISTINCT = 1e-6
-"""px, and share of a spectrum, by which it may differ and counts as the same: rounding."""
+"""Scales in px, and shares of a spectrum, that differ by less than this are the same: rounding."""
 
 _SPREAD, _LEAST_SPREAD = 0.06, 1e-3
 """Standard deviation of the scales within a window: relative, and at least so many px. Averages

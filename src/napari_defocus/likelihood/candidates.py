@@ -26,7 +26,7 @@ Float64 = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class BlurCandidates:
-    r"""What the windows of one picture say about the blur, and what made it.
+    r"""The likely radii at every window of one picture, and how they were estimated.
 
     The likelihood of a scale r is that of the local powers :math:`|g_i^{\nabla}|^2`, with the best
     variance s of the sharp picture's gradients, the blur spectrum (6) and the noise spectrum (7):
@@ -35,51 +35,51 @@ class BlurCandidates:
         \exp\left(-\frac{|g_i^{\nabla}|^2}{v_i}\right), \qquad
         v_i = s \, \sigma_i^2(r) + \sigma_{ni}^2 \tag{9}
 
-    R x C windows lie `stride` px apart; one stands for the pixels around its centre.
+    R x C windows lie `stride` px apart. Each decides about the pixels around its centre.
 
     Attributes
     ----------
     radii : (R, C, 3) float32 ndarray
-        Scales of the best local maxima of the likelihood, best first, in px, in the
-        continuous domain; NaN where there are fewer. With `Disc`, one that cannot be told
-        from a point (radius up to 0.5 px) is given as 0.25 px.
+        Scales of the best local maxima of the likelihood, best first, in px; NaN where there are
+        fewer than three. With `Disc`, a radius up to 0.5 px is the same as a point, and is
+        given as 0.25 px.
     log_likelihoods : (R, C, 3) float32 ndarray
-        log p of (9) at those scales, both gradients added; in the mode "curve" each divided by
-        its dispersion. -inf where there are fewer.
+        log p of (9) at those scales, summed over both gradients. In the mode "curve" each is
+        divided by its dispersion. -inf where there are fewer than three.
     curve : (R, C, L) float32 ndarray
         log p(r) at `scales`.
     scales : (L,) float64 ndarray
-        0, 0.1, ... px over the domain of the PSF family; beyond 8 px (of windows of 41 px), twice
-        as far apart in each octave.
+        0, 0.1, ... px over the domain of the PSF family. Beyond 8 px (for windows of 41 px) the
+        steps double with each octave.
     row_centers, column_centers : (R,) and (C,) float64 ndarray
-        Where the windows stand, in px; may be half-way between pixels.
+        The centres of the windows, in px; they may lie half-way between pixels.
     image_shape : (int, int)
         Height and width of the picture, in px.
     psf : PSFFamily
-        Its domain is what was looked at: small pictures do not tell large radii.
+        Its domain is what was searched: small pictures cannot tell large radii.
     noise_variance : float
-        Of the luminance, intensities in [0, 1]; given or found; the mean over the picture if
-        it grows with the intensity.
+        Of the luminance, for intensities in [0, 1], given or found. If it grows with the
+        intensity, this is the mean over the picture.
     window, stride : int
         N and the distance between windows, in px.
     mode : {"curve", "paper"}
         Which likelihood it is, see `estimate_candidates`.
     shot_noise : ShotNoise or None
-        How the noise grows with the intensity, if it was said to.
+        How the noise grows with the intensity, if it does.
     intensities : Intensities or None
-        Which intensities of the picture are 0 and 1, and its contrast. What labels it takes
-        them from here, unless it is given others. None of candidates made by hand.
+        Which intensities of the picture are 0 and 1, and its contrast. The functions that label
+        take them from here, unless they get others. None if the candidates were made by hand.
     psf_choice : PSFChoice or None
-        How `psf` was chosen, if the picture was to choose it.
+        How `psf` was chosen, if the picture chose it.
     weight : (R, C) float32 ndarray or None
-        How much each window counts, from 0 to 1: less where levels of wide windows speak, which
-        many places share. None of pictures that have one level only.
+        How much each window counts, from 0 to 1: less for wide windows, which many places share.
+        None if the picture has one level only.
     strength : (R, C) float32 ndarray or None
-        Logarithm of 1 + each window's power at low frequencies relative to the noise's. None of
-        candidates made by hand, as the next one.
+        Logarithm of 1 + each window's power at low frequencies relative to the noise's. This and
+        `direction` are None if the candidates were made by hand.
     direction : (R, C, 2) float32 ndarray or None
-        Real and imaginary part of d of `signs`: near 0 if no direction has more details, above
-        about 1.5 where all details lie in one.
+        Real and imaginary part of the preferred direction d (`likelihood/signs.py`): near 0 if
+        details lie in all directions alike, above about 1.5 where all lie in one.
     """
 
     radii: Float32
@@ -103,10 +103,10 @@ class BlurCandidates:
 
     @property
     def doubt(self) -> str | None:
-        """A sentence that says why the picture does not look like defocus; None if it may.
+        """Why the picture does not look like defocus, in a sentence; None if it may.
 
-        Motion is noticed from about 6 px on, if nearly all of the picture has it, and pictures of
-        noise alone. Sharpening, upscaling and smooth shading are not.
+        Motion is noticed from about 6 px on, if nearly all of the picture has it. Noise alone is
+        noticed as well. Sharpening, upscaling and smooth shading are not.
         """
         return doubt_of(self.strength, self.direction)
 
@@ -154,7 +154,7 @@ class BlurCandidates:
         return self.scales, self.curve[self.nearest_window(row, column)].astype(np.float64)
 
     def nearest_window(self, row: float, column: float) -> tuple[int, int]:
-        """Return which window speaks for one pixel: its place in (R, C).
+        """Return which window decides about one pixel: its place in (R, C).
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class BlurCandidates:
         return int(i), int(j)
 
     def window_at(self, row: float, column: float) -> tuple[float, float, float, float]:
-        """Return what part of the picture the curve of one pixel comes from.
+        """Return the part of the picture that the curve of one pixel comes from.
 
         Windows that would reach over the border are moved inside. What counts in a window is
         weighted by a Gaussian with a standard deviation of a quarter of its side.

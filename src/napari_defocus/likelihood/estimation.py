@@ -54,7 +54,7 @@ _LEAST_OPAQUE = 0.05
 """Share of a window that has to be known, for it to say anything. Chosen by hand."""
 
 _TINY = 1e-12
-"""Least noise variance, for a contrast of 1, that is divided by: that of `SILENCE`."""
+"""The least noise variance that is divided by, for a contrast of 1: that of `SILENCE`."""
 
 
 @dataclass(frozen=True)

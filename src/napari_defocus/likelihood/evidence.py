@@ -18,13 +18,15 @@ from napari_defocus.likelihood.candidates import BlurCandidates
 Float32 = NDArray[np.float32]
 
 DEPTH = np.float32(15)
-"""Of a curve, in log-likelihood: what lies deeper counts as much. Chosen on ramps and bumps."""
+"""The depth of a curve, in log-likelihood, beyond which nothing counts more. Chosen on ramps and
+bumps.
+"""
 
 _NEIGHBORHOOD = 8.0
 """Standard deviation, in px, of the Gaussian that averages curves: they tell where texture is."""
 
 _EVERY = 4
-"""Of the scales, so many are looked at for that: every 0.4 px."""
+"""Every 4th scale is looked at for that: every 0.4 px."""
 
 _INFORMATIVE, _STEEPNESS = 4.0, 3.0
 """Noise alone gives averaged curves a depth of 0.05 to 0.9, rarely 3; texture 8 to 15."""

@@ -24,10 +24,10 @@ _FIT_STEP = 0.1
 """px between the samples that are fitted: Delta r of Section III-A."""
 
 _LOWEST_POWERS = (0, -1, -2, -3, -4)
-"""Those that p of (12) is chosen from, by the error between the samples. Chosen by hand."""
+"""The choices for p of (12), which the error between the samples decides. Chosen by hand."""
 
 _AS_GOOD = 1.1
-"""Times the least error: so large it may be, for the sake of fewer powers. Chosen by hand."""
+"""How many times the least error is good enough, for the sake of fewer powers. Chosen by hand."""
 
 _INDISTINCT = 1e-6
 """px, and share of the light beside the middle pixel, that count as none: rounding."""
@@ -163,7 +163,7 @@ class FitReport:
     Attributes
     ----------
     scales : (M,) float64 ndarray
-        Where they are compared, in px: over the fit's domain, 0.02 px apart.
+        The scales that are compared, in px: 0.02 px apart over the domain of the fit.
     frequencies : (F, 2) float64 ndarray
         Of the filters, along rows and columns, in cycles/px.
     log_errors : (M, 2, F) float64 ndarray
@@ -236,7 +236,7 @@ def fit_report(
     Raises
     ------
     TypeError, ValueError
-        If `psf` is no family, or `window` no odd number from 17 up.
+        If `psf` is not a family, or `window` is not an odd number from 17 up.
 
     Examples
     --------

@@ -19,8 +19,8 @@ _LEAST_SCORE, _LEAST_SUM_OF_SCORES = 5.0, 7.0
 """t-scores from which on there are blocks: of one direction, or of both together. By hand."""
 
 _LEAST_STEP = 1e-4
-"""Of a difference between neighbours, in pictures whose level of 8 bits is 1/255, before its
-logarithm is taken. Chosen by hand.
+"""The least difference between neighbours whose logarithm is taken, if a level of 8 bits is 1/255.
+Chosen by hand.
 """
 
 _MOST_BLOCKS = 4096
@@ -33,7 +33,9 @@ _JPEG_STEPS = range(2, 80)
 """Steps that are looked for, in levels of 8 bits. Chosen by hand."""
 
 _FEWEST_COEFFICIENTS = 30
-"""That have to be rounded to another multiple than 0, for a step to be seen. By hand."""
+"""So many coefficients have to be rounded to another multiple than 0 for a step to be seen. By
+hand.
+"""
 
 _LEAST_COMB, _COMB_DEVIATIONS = 0.25, 2.5
 """How near coefficients lie to multiples, as the mean cosine of their phase: at least so much, and

@@ -38,13 +38,13 @@ _PADDED = 16
 """Frequencies that are worked on at once: lanes of the processor's vectors."""
 
 _NEWTON_ROUNDS = 8
-"""At most, of one maximum. Chosen by hand."""
+"""The most Newton steps to one maximum. Chosen by hand."""
 
 _LIMIT = np.float32(1)
-"""Of a step in log s. Chosen by hand."""
+"""The longest step in log s. Chosen by hand."""
 
 _CLOSE_ENOUGH = 5e-4
-"""px: a step that is none any more. Maxima are exact to 0.005 px (tests against `reference`)."""
+"""px: a shorter step is the last one. Maxima are exact to 0.005 px (tests against `reference`)."""
 
 
 def local_maxima(

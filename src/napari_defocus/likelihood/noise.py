@@ -26,15 +26,16 @@ _NEIGHBORHOOD = 25
 """px: the side of the square over which a local variance is taken. Chosen by hand."""
 
 _FLOOR_QUANTILE = 0.1
-"""Of the local variances: what is flattest shows noise alone. Chosen by hand."""
+"""The quantile of the local variances that counts: the flattest places show noise alone. By hand.
+"""
 
 _FLOOR_OF_WHITE = 0.865
 """The 10 % quantile of the local variance of white noise of variance 1, over 25 x 25 px."""
 
 PROCESSING_VARIANCE = 2e-5
-"""What a camera leaves at middle frequencies besides the finest details, intensities in [0, 1]: a
-level of 8 bits or so. With half the error of JPEG's steps, it served simulated cameras of
-qualities 40 to 98 (docs/decisions.md).
+"""Variance that a camera leaves at middle frequencies besides the finest details, for intensities
+in [0, 1]: about a level of 8 bits. With half the error of JPEG's steps, it fitted simulated cameras
+of qualities 40 to 98 (docs/decisions.md).
 """
 
 
@@ -46,25 +47,25 @@ def estimate_noise_variance(
 ) -> float:
     r"""Find the variance of the noise in a picture's luminance.
 
-    White noise is seen in the finest details of the flattest places: the 10 % quantile
-    :math:`Q_{0.1}` of their local variance, over squares S of 25 x 25 px, which for white noise of
-    variance 1 is 0.865. Fine details are those of Immerkaer's operator [1]_,
+    White noise is seen in the finest details of the flattest places. Its measure is the 10 %
+    quantile :math:`Q_{0.1}` of their local variance, over squares S of 25 x 25 px; for white noise
+    of variance 1 this is 0.865. Fine details are those of Immerkaer's operator [1]_,
 
     .. math:: \hat{\sigma}_1^2 = \frac{Q_{0.1}(v_1)}{0.865}, \qquad
         v_1[\mathbf{x}] = \frac{1}{36 \, |S|} \sum_{\mathbf{u} \in S(\mathbf{x})}
         \left|(d^T d \otimes g)[\mathbf{u}]\right|^2, \qquad d = (1, -2, 1)
 
-    JPEG takes the finest details first and leaves errors in the others. On pictures that show its
-    blocks of 8 px, the steps q to which it has rounded the cosine transform of the blocks are read
-    off the picture, and half their variance, q^2 / 12 in levels of 8 bits, is added, with what
-    else cameras do to pictures. With :math:`\hat{\sigma}_2^2` for details twice as large,
+    JPEG removes the finest details first, and leaves errors in the others. If a picture shows its
+    blocks of 8 px, the steps q of its rounding are found from the picture. Half their variance,
+    q^2 / 12 in levels of 8 bits, is added, and a constant for what cameras do to pictures. With
+    :math:`\hat{\sigma}_2^2` for details twice as large,
     :math:`d = (1, 0, -2, 0, 1)`, and the size :math:`\Delta` of a level,
 
     .. math:: \hat{\sigma}_n^2 = \hat{\sigma}_1^2
         + \max(0, \hat{\sigma}_2^2 - \hat{\sigma}_1^2)
         + \left(\frac{q^2}{24} + 2 \cdot 10^{-5} \cdot 255^2\right) \Delta^2
 
-    Fine texture that is sharp everywhere passes for noise.
+    Fine texture that is sharp everywhere counts as noise.
 
     Parameters
     ----------
@@ -78,14 +79,14 @@ def estimate_noise_variance(
     Returns
     -------
     float
-        Variance for intensities in [0, 1]; 0 for a constant picture. Of k * image + b, it is
-        the same share of the squared contrast. Independent noise of variance v in each of R, G
-        and B is 0.45 v in luminance.
+        Variance for intensities in [0, 1]; 0 for a constant picture. For k * image + b it is the
+        same share of the squared contrast. Independent noise of variance v in each of R, G and B
+        makes 0.45 v in the luminance.
 
     Raises
     ------
     TypeError, ValueError
-        If `image` is no picture.
+        If `image` is not a picture.
 
     References
     ----------

@@ -23,20 +23,21 @@ from napari_defocus.likelihood.candidates import BlurCandidates
 Float32 = NDArray[np.float32]
 
 _DETAIL = 1.0
-"""Standard deviation, in px, of the Gaussian that leaves no fine details."""
+"""Standard deviation, in px, of the Gaussian that removes fine details."""
 
 _SHIFTS = 2.0
 """How many mean shifts a window moves away from fine details, see above."""
 
 _LARGEST_SHIFT = 0.5
-"""As a share of the window's side."""
+"""The largest shift, as a share of the window's side."""
 
 _LEAST_RATIO, _LEAST_STEP = 2.0, 0.5
-"""The moved window is believed if it is blurred by more than 2 r + 0.5 px: a steep slope of the
-blur is no edge (a difference of 1 px instead cost bumps what edges gained; docs/decisions.md)."""
+"""The moved window counts if it is blurred by more than 2 r + 0.5 px: a steep slope of the blur is
+not an edge. With a difference of 1 px instead, bumps lost what edges gained (docs/decisions.md).
+"""
 
 _LEAST_ENERGY = 1e-12
-"""Of fine details, so that the logarithm of their energy is defined."""
+"""Added to the energy of fine details, so that its logarithm is defined."""
 
 
 def on_own_side(candidates: BlurCandidates, picture: PreparedImage) -> BlurCandidates:

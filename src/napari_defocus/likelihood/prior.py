@@ -9,8 +9,9 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
 PRIOR_RATE = 0.25
-"""1 / px. Of 0 to 0.5, on photographs with measured radii, plain shapes and simulations
-(docs/decisions.md)."""
+"""1 / px. Chosen between 0 and 0.5 on photographs with measured radii, plain shapes and simulations
+(docs/decisions.md).
+"""
 
 _PRIOR_END = 8.0
 """px: beyond it the prior falls with the logarithm of the radius, as steeply as it did there."""

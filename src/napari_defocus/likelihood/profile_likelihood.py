@@ -51,8 +51,8 @@ _LEAST_SIGNAL = np.float32(0.1)
 """s a_i at the strongest frequency, below which s counts as 0. Chosen by hand."""
 
 _ABOVE_LEAST, _RETRY = np.float32(3), 4
-"""Where s = 0 was best, log s begins again so far above its least, at every so many scales: there
-may be two minima. Chosen by hand.
+"""Where s = 0 was best, the search begins again with log s so far above its least, at every so many
+scales: there may be two minima. Chosen by hand.
 """
 
 _MOST_ROUNDS = 6
@@ -68,7 +68,7 @@ SMALLEST = np.float32(1e-6)
 """Least s, relative to that which makes signal and noise alike at the first frequency. By hand."""
 
 FIRST_ROUNDS = 16
-"""Of (11) or of Newton's steps at the first scale, at most. Chosen by hand."""
+"""The most rounds of (11), or of Newton steps, at the first scale. Chosen by hand."""
 
 
 def noise_power(table: SpectrumTable, noise_variance: float) -> Float64:
@@ -338,7 +338,7 @@ def _scoring_step(log_sums: Float32, scale: int, least: np.float32, state: Float
     last = np.float32(log_sums.shape[2] - 2)
     for lane in range(_LANES):
         position = (state[_LOG_S, lane] - _LEAST_LOG) * (one / _LOG_STEP)
-        # Written so that a position that is no number has an index inside the table, too.
+        # Written so that a position that is not a number has an index inside the table, too.
         inside = position if position > zero else zero
         whole = np.float32(np.int32(inside if inside < last else last))
         u = position - whole

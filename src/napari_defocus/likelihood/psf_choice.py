@@ -21,7 +21,9 @@ from napari_defocus.psf.families import Annulus, Disc, Gaussian, PSFFamily
 from napari_defocus.psf.parsing import psf_text
 
 _OTHERS = (Gaussian(), Annulus(0.3), Annulus(0.5))
-"""What is chosen instead of a disc: polygons, real irises, are as well measured as discs."""
+"""The families that may be chosen instead of a disc. Polygons, and real irises, are measured as
+well with discs.
+"""
 
 _LIMIT = 1.5
 """Units of log-likelihood, in the mean of windows, by which a family must be better than the disc.
@@ -53,9 +55,9 @@ class PSFChoice:
     found : bool
         Whether the picture tells it.
     margin : float
-        Units of log-likelihood, in the mean of the windows that voted, by which it is better than
-        the disc, or the disc than the next; below 0, another one is better, but not clearly. 0 if
-        too few windows voted.
+        By how much it is better than the disc, or the disc than the next one, in units of
+        log-likelihood: the mean over the windows that voted. Below 0, another one is better, but
+        not clearly. 0 if too few windows voted.
     windows : int
         How many voted.
     """

@@ -37,14 +37,14 @@ class PSFEvidence:
     psf : PSFFamily
     log_evidence : float
         Mean over windows of the logarithm of its evidence, relative to the best family of each
-        window, at most 10 below; 0 would be the best everywhere.
+        window. A window counts -10 at least; 0 would be the best everywhere.
     share : float
-        Of the windows for which it is the best.
+        Share of the windows for which it is the best.
     median_scale : float
         Median over windows of the most likely scale, in px.
     softness : float
-        Standard deviation, in px, of the Gaussian behind it with which it explains the picture
-        best: the camera's own, or more if the scene lacks fine details.
+        Standard deviation, in px, of the Gaussian that was added to the family and explains the
+        picture best: the camera's own, or more if the scene lacks fine details.
     """
 
     psf: PSFFamily
@@ -107,19 +107,19 @@ def compare_psf(
     r"""Compare how well PSF families explain a picture.
 
     The evidence of a family in a window is the mean over its R scales of p(r) of (9), with the
-    prior exp(-0.25 r) of the maps. The camera's softness is part of the kernels, or a larger one
-    of 0.7, 1, 1.4 or 2 px if that explains the picture as a whole better with this family: scenes
-    lack fine details, too (not with `Gaussian`, of which the radius says it all). What a family
-    loses to the best one is the mean over windows of
+    prior exp(-0.25 r) of the maps. The camera's softness is part of the kernels. Scenes lack fine
+    details, too: if a larger softness of 0.7, 1, 1.4 or 2 px explains the whole picture better
+    with this family, it is taken instead (not with `Gaussian`, whose radius includes it). What a
+    family loses to the best one is the mean over windows of
 
     .. math:: \min\left(\max_j \log e_j - \log e, \, 10\right), \qquad
         e = \frac{1}{R} \sum_r p(r) \, e^{-r / 4}, \qquad
         p(r) = \max_s \prod_i \frac{1}{v_i} \exp\left(-\frac{|g_i^{\nabla}|^2}{v_i}\right), \qquad
         v_i = s \, \sigma_i^2(r) + \sigma_{ni}^2
 
-    It counts up to a limit, so that the few windows that no family explains do not decide.
-    Differences of families are visible from about 2 px of blur on, in texture with little noise;
-    those of rings whose obstructions are 0.1 apart hardly.
+    The limit is there so that a few windows that no family explains do not decide. Families can be
+    told apart from about 2 px of blur on, in texture with little noise. Rings whose obstructions
+    differ by 0.1 can hardly be told apart.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def compare_psf(
     window : int, optional
         Side N of the analysis window, px.
     camera_softness : float, optional
-        Standard deviation, in px, of the blur that the camera has of its own, at least.
+        The least standard deviation, in px, of the camera's own blur.
     linearize : {"srgb"}, optional
         Decode the intensities into linear light first.
     intensity_range : (float, float), optional
@@ -173,7 +173,7 @@ def compare_psf(
     progress("Measuring the noise", 0.0)
     windows = Windows.of(picture, noise_variance, window, window // _WINDOWS_APART)
     if not len(windows.power):
-        raise ValueError("image has no texture; no PSF family can be told from another")
+        raise ValueError("image has no texture; it cannot tell which PSF family fits")
     fits = []
     for index, psf in enumerate(checked):
         progress("Comparing PSF families", index / len(checked))

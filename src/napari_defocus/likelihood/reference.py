@@ -28,13 +28,15 @@ _ALIKE = 0.01
 """px: maxima that lie closer are one. Chosen by hand."""
 
 _STRENGTH_ROUNDS = 50
-"""Of (11), at most. Chosen by hand."""
+"""The most rounds of (11). Chosen by hand."""
 
 _LONGEST_STEP, _LONGER, _SHORTER = 0.1, 1.5, 0.5
 """px of a step down (13) at most, and the factors of the next one. Chosen by hand."""
 
 _SETTLED, _SETTLED_SHARE = 1e-6, 1e-7
-"""A step in px, and a share of s, that are none any more. Chosen by hand: this is the reference."""
+"""A shorter step in px, and a smaller share of s, are the last ones. By hand: this is the
+reference.
+"""
 
 _LARGE, _SMALLEST = 1e3, 1e-6
 """s to begin with; and the least s, relative to that which makes signal and noise alike at the

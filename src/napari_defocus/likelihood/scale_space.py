@@ -46,21 +46,26 @@ _LEAST_SIDES = 4
 windows of its own. Chosen by hand."""
 
 _ANYTHING = 3.0
-"""px of a level, if its windows tell 8 px: what lies beyond its range looks like more than that."""
+"""px of a level, if its windows tell 8 px. Blur beyond the range of a level looks like more than
+this.
+"""
 
 _LITTLE, _LITTLE_OF_FIRST = 2.0, 3.0
 """px of such a level: up to there, radii are one class. Of level 1 it is more, as level 0 tells
 radii below 6 px better (bumps: 0.32 px with 2, 0.27 with 3; docs/decisions.md)."""
 
 _SAY = np.float32(0.5)
-"""Of a level, beside level 0: each sees what the one before it saw, too (docs/decisions.md)."""
+"""Weight of a level, beside level 0: each level also sees what the one before it saw
+(docs/decisions.md).
+"""
 
 _STEEPNESS = np.float32(6)
 """Units of log-likelihood from surely one class to surely the other. Chosen by hand."""
 
 _ALL, _SOME = np.float32(0.9), np.float32(0.6)
-"""Share of the windows around that say "little", from which coarser levels have no say; and up to
-which they have all of it."""
+"""If more than the first share of the windows around say "little", coarser levels do not count. If
+fewer than the second, they count fully.
+"""
 
 _SURELY_MUCH = np.float32(1.5)
 """Of the share of the windows around that say "much", before it is cut off at 1: two thirds are

@@ -25,10 +25,10 @@ from napari_defocus.settings import MapSettings
 Float64 = NDArray[np.float64]
 
 _INTENSITY_BINS, _FEWEST_PLACES = 16, 100
-"""Ranges of intensity with equally many places, and how many a range has to have. By hand."""
+"""Ranges of intensity with equally many places, and the fewest places of a range. By hand."""
 
 _FEWEST_BINS = 10
-"""Of these, so many have to lie on the line."""
+"""So many of these ranges have to lie on the line."""
 
 _LARGEST_MISFIT = 0.1
 """Median distance of the ranges from the line, as a share of it: 0.02 to 0.08 on raw pictures of
@@ -42,14 +42,15 @@ _OUTLIERS, _ROUNDS = 2.5, 6
 """Ranges farther from the line than so many deviations are texture; rounds of leaving them out."""
 
 _DARK_SHARE = 0.05
-"""Of the least variance of a range, what is left where a line meets 0: read noise cannot be told
-from the offset there."""
+"""Share of the least variance of a range that is left where a line meets 0. Read noise and offset
+cannot be told apart there.
+"""
 
 _LEAST_SHARE = 1e-3
-"""Of the picture's noise variance: no range has less. Chosen by hand."""
+"""The least variance of a range, as a share of the picture's noise variance. Chosen by hand."""
 
 _EVERY = 7
-"""Of the places, so many: neighbours share most of their surroundings. Chosen by hand."""
+"""Every 7th place is taken: neighbours share most of their surroundings. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class ShotNoise:
     Raises
     ------
     TypeError, ValueError
-        If one is no number or not finite, or `read_variance` and `gain` are negative or both 0.
+        If one is not a number or not finite, or `read_variance` and `gain` are negative or both 0.
 
     Examples
     --------
@@ -89,7 +90,7 @@ class ShotNoise:
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is {value}; it takes a finite number from 0 up")
         if self.read_variance == self.gain == 0:
-            raise ValueError("read_variance and gain are both 0; one of them takes more")
+            raise ValueError("read_variance and gain are both 0; at least one must be larger")
         check_real("offset", self.offset, "a finite number")
         if not math.isfinite(self.offset):
             raise ValueError(f"offset is {self.offset}; it takes a finite number")
@@ -114,9 +115,9 @@ def estimate_shot_noise(
     .. math:: \underset{\sigma_{\text{read}}^2, \, \gamma \, \ge \, 0}{\text{arg min}} \sum_I \left(
         \frac{\sigma_{\text{read}}^2 + \gamma I}{v_I} - 1\right)^2
 
-    If a line whose constant may be negative fits them to 10 %, and the noise grows at least four
-    times, it is taken as it is: where it meets 0 is the offset of the camera. On pictures that show
-    JPEG's blocks the line is scaled so that its mean over the picture is `estimate_noise_variance`.
+    A line whose constant may be negative is fitted, too. If it fits to 10 %, and the noise grows at
+    least four times, it is taken instead: it meets 0 at the offset of the camera. If the picture
+    shows JPEG's blocks, the line is scaled so that its mean is `estimate_noise_variance`.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def estimate_shot_noise(
     Returns
     -------
     ShotNoise
-        To be given to `estimate_candidates` as `noise_variance`.
+        `estimate_candidates` takes it as `noise_variance`.
 
     Raises
     ------

@@ -24,17 +24,19 @@ from napari_defocus.likelihood.profile_likelihood import noise_power
 Float32 = NDArray[np.float32]
 
 _RINGS = 6
-"""Of frequencies, from 0 to the highest, each as wide. Chosen by hand."""
+"""Rings of frequencies, from 0 to the highest, each as wide. Chosen by hand."""
 
 _LOW = 0.35
-"""Of the highest frequency: up to there, powers tell how strong a window's are. By hand."""
+"""Frequencies up to this share of the highest say how strong a window is. By hand."""
 
 _WEAK, _MOST = 1.7, 0.9
-"""Of most windows: noise alone has 0.9, texture blurred by 8 px behind a noise of 1e-3 has 2.6 or
-more, photographs and fluorescence 6.7 or more (docs/decisions.md)."""
+"""If the strength of most windows is below this, nothing is seen. Noise alone has 0.9. Texture
+blurred by 8 px behind a noise of 1e-3 has 2.6 or more, photographs and fluorescence 6.7 or more
+(docs/decisions.md).
+"""
 
 _STRONG = 5.0
-"""Windows from here on tell directions."""
+"""Only windows that are at least so strong say anything about directions."""
 
 _ONE_WAY, _EXCEPTIONS = 1.0, 0.2
 """d of the strong windows along their mean direction: after motion above 1 for all but a fifth;

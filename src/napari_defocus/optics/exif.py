@@ -19,10 +19,10 @@ _MICROMETRES = {_INCH: 25400.0, 3: 10000.0, 4: 1000.0, 5: 1.0}
 """By number of EXIF's FocalPlaneResolutionUnit."""
 
 _DIAGONAL_OF_35_MM = 43.27
-"""mm: of a frame of 24 x 36 mm."""
+"""mm: the diagonal of a frame of 24 x 36 mm."""
 
 _CROPPED = 0.01
-"""Ratios of sides that differ more than this are those of cropped pictures. Chosen by hand."""
+"""If the ratio of the sides differs by more than this share, the picture was cropped. By hand."""
 
 
 def noted_lens(
@@ -50,7 +50,7 @@ def noted_lens(
     Raises
     ------
     TypeError
-        If `image_size` is no pair of whole numbers.
+        If `image_size` is not a pair of whole numbers.
     ValueError
         If its numbers are not above 0, or the file cannot be read.
     """
@@ -93,10 +93,30 @@ def _read_exif(path: Path) -> tuple[Mapping[int, Any], tuple[int, int]]:
     except IsADirectoryError:
         reason = "it is a folder"
     except UnidentifiedImageError:
-        reason = "it is no picture (PNG, JPEG, TIFF, WebP or BMP)"
+        noted = _read_heic_exif(path)
+        if noted is not None:
+            return noted
+        reason = (
+            "no EXIF is read from this kind of file (only PNG, JPEG, TIFF, WebP, BMP, and HEIC "
+            "with the extra heic)"
+        )
     except Exception as error:
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split())
     raise ValueError(f"cannot read {path}: {reason}")
+
+
+def _read_heic_exif(path: Path) -> tuple[Mapping[int, Any], tuple[int, int]] | None:
+    """Return what `_read_exif` does of a HEIC picture; None if it is none, or cannot be read."""
+    from PIL import ExifTags, Image
+
+    with suppress(Exception):
+        import pillow_heif
+
+        picture = pillow_heif.open_heif(path)
+        exif = Image.Exif()
+        exif.load(picture.info.get("exif") or b"")
+        return exif.get_ifd(ExifTags.IFD.Exif), picture.size
+    return None
 
 
 def _noted(exif: Mapping[int, Any], name: str) -> float | None:

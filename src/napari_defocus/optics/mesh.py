@@ -19,7 +19,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _MOST_VERTICES = 250_000
-"""At most, unless a step is given. Chosen by hand."""
+"""The most vertices, unless a step is given. Chosen by hand."""
 
 _RANGE = (1, 99)
 """Percentiles of the distances that are near and far. Chosen by hand."""
@@ -55,18 +55,17 @@ def depth_surface(
     relief: float = 0.5,
     intensity_range: tuple[float, float] | None = None,
 ) -> DepthSurface:
-    r"""Make a surface of a map of distances, to be looked at in three dimensions.
+    r"""Make a surface from a map of distances, to look at in three dimensions.
 
     It is a relief on top of the picture, in px,
 
     .. math:: z = \text{relief} \cdot \max(H, W) \,
         \frac{d_{\text{far}} - d}{d_{\text{far}} - d_{\text{near}}}
 
-    where near and far are the 1st and the 99th percentile of the distances d. So z is 0 at far and
-    the larger the nearer, which is towards you in napari's 3-D view as it first opens. It is no
-    scale model. What lies farther outside of near and far than they are apart is drawn no farther
-    out than that. The surface has a hole where a distance is infinite or NaN, and is torn where
-    distances jump.
+    where near and far are the 1st and the 99th percentile of the distances d. So z is 0 at far, and
+    grows towards you in napari's 3-D view as it first opens. It is not a scale model. Distances far
+    outside of near and far are drawn at a limit. The surface has a hole where a distance is
+    infinite or NaN, and is torn where distances jump.
 
     Parameters
     ----------
@@ -77,11 +76,11 @@ def depth_surface(
         A picture of the same height and width that gives the colours, see
         `estimate_candidates`; opacity is left out.
     step : int, optional
-        Take every `step`-th row and column; by default as many as 250 000 vertices allow.
+        Take every `step`-th row and column. By default the surface has up to 250 000 vertices.
     largest_jump : float, optional
         No triangle spans distances whose difference is more than this share of the smallest.
     relief : float, optional
-        How far near and far are apart in z, as a share of the longer side.
+        The distance of near and far in z, as a share of the longer side.
     intensity_range : (float, float), optional
         The intensities of `image` that are drawn black and white.
 
@@ -92,8 +91,8 @@ def depth_surface(
     Raises
     ------
     TypeError
-        If `depth` holds no real numbers, `image` is no picture, `step` is no whole number, or
-        another argument is no number.
+        If `depth` holds no real numbers, `image` is not a picture, `step` is not a whole number, or
+        another argument is not a number.
     ValueError
         If `depth` has another number of axes than two, or distances of 0 or below, `image` has
         another size, `step` is not from 1 to below the shorter side, `largest_jump` or
@@ -143,7 +142,7 @@ def blur_surface(
     largest_jump: float = 0.5,
     relief: float = 0.5,
 ) -> DepthSurface:
-    """Make a surface of a blur map, to be looked at in three dimensions.
+    """Make a surface from a blur map, to look at in three dimensions.
 
     What is in focus stands out: z = relief max(H, W) (1 - r / max_scale), in px of the picture.
     So a px of blur is as high in every picture of a size, and a map that says the same

@@ -18,7 +18,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _ROUNDING = float(np.finfo(np.float32).eps)
-"""Relative: what a blur in single precision leaves of a distance."""
+"""The relative error of a distance whose blur is in single precision."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +43,13 @@ class ThinLens:
     focus_distance_m : float
         s, in m, from the lens to the plane in focus; infinity is allowed.
     pixel_pitch_um : float
-        p, in um on the sensor: how far the pixels of the picture as it is are apart. A picture
-        that was scaled down to a half has twice the pitch of the sensor.
+        p, in um on the sensor: the distance of the picture's pixels. A picture that was scaled
+        down to a half has twice the pitch of the sensor.
 
     Raises
     ------
     TypeError
-        If one is no number.
+        If one is not a number.
     ValueError
         If one is not above 0, or not finite but for the focus distance, or if the focus
         distance is not above the focal length.
@@ -113,26 +113,26 @@ class ThinLens:
         pixel_pitch_um: float | None = None,
         image_size: tuple[int, int] | None = None,
     ) -> Self:
-        """Take from a photograph what its camera noted (EXIF); what is given wins.
+        """Take the lens from what the camera noted in a photograph (EXIF).
 
-        Most cameras do not note the focus distance, or only roughly and as seen from the
-        sensor. The pitch comes from the resolution of the focal plane, else from the focal
-        length that has the same view on 35 mm film (a diagonal of 43.27 mm). It is that of the
-        picture as it is: if the size at capture is noted and the picture is larger or smaller
-        now, it was scaled. That a picture was cropped cannot be told, and one cropped to the
-        same shape passes for scaled: then give the pitch. The pitch counts as not noted if the
-        sides have another ratio than at capture, by more than 1 %. Programs that scale a picture
+        Values that you give count more than what is noted. Most cameras do not note the focus
+        distance, or only roughly and from the sensor. The pitch comes from the resolution of the
+        focal plane, or otherwise from the focal length that has the same view on 35 mm film (a
+        diagonal of 43.27 mm). If the size at capture is noted and the picture has another size
+        now, the pitch is that of the scaled picture. A picture that was cropped to the same shape
+        looks like a scaled one: then give the pitch. The pitch counts as not noted if the ratio
+        of the sides differs from that at capture by more than 1 %. Programs that scale a picture
         and write its new size over that at capture make the pitch too small.
 
         Parameters
         ----------
         path : path-like
-            A JPEG, TIFF, PNG, WebP or BMP file.
+            A JPEG, TIFF, PNG, WebP or BMP file; HEIC with the extra "heic".
         focal_length_mm, f_number, focus_distance_m, pixel_pitch_um : float, optional
-            What the file lacks, or has wrong; see `ThinLens`.
+            What the file does not note, or notes wrongly; see `ThinLens`.
         image_size : (int, int), optional
-            Height and width in px of the picture that is analysed, if it was scaled after
-            it was read from the file. Upright or not does not matter.
+            Height and width in px of the picture that is analysed, if it was scaled after it
+            was read from the file. Their order does not matter.
 
         Returns
         -------
@@ -141,10 +141,10 @@ class ThinLens:
         Raises
         ------
         TypeError
-            If `image_size` is no pair of whole numbers, or something given is no number.
+            If `image_size` is not a pair of whole numbers, or something given is not a number.
         ValueError
             If the file cannot be read, or the lens is not known completely: the message names
-            all that is missing. Also if the values, noted or given, make no lens.
+            all that is missing. Also if no lens can have these values.
 
         Examples
         --------
@@ -214,7 +214,7 @@ def depth_from_blur(
     ------
     TypeError
         If `blur_map` holds no real numbers, `side` is an array of another dtype than bool,
-        or `lens` is no `ThinLens`.
+        or `lens` is not a `ThinLens`.
     ValueError
         If the map has negative or infinite values, `side` is another word or has another shape,
         or points are to lie beyond a focus at infinity.
@@ -267,7 +267,7 @@ def blur_from_depth(depth: ArrayLike, lens: ThinLens) -> Float32:
     Raises
     ------
     TypeError
-        If `depth` holds no real numbers, or `lens` is no `ThinLens`.
+        If `depth` holds no real numbers, or `lens` is not a `ThinLens`.
     ValueError
         If a distance is 0 or negative.
 

@@ -1,8 +1,9 @@
 """The PSF of a lens, measured from pictures that it took out of focus (Section III-A).
 
-Either the pictures show point sources, such as a back-lit pinhole or distant lamps, and every
-spot is the PSF; or they show anything with texture, and a sharp picture of the same is given,
-so that the PSF is what turns the one into the other. Few settings of the lens are enough.
+There are two ways. The pictures show point sources, such as a back-lit pinhole or distant lamps:
+then every spot is the PSF. Or they show anything with texture, and there is a sharp picture of the
+same: then the PSF is what turns the sharp picture into the blurred one. Few settings of the lens
+are enough.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ _SAME_SETTING = 0.05
 """px: pictures whose scales are closer are of one setting of the focus. Chosen by hand."""
 
 _HEADROOM = 1.01
-"""Of the range of floats that say no limit: nothing in them is saturated. Chosen by hand."""
+"""For floats, 1 stands for so many times their range, so that no value counts as saturated.
+Chosen by hand.
+"""
 
 
 def calibrate_psf(
@@ -48,22 +51,22 @@ def calibrate_psf(
 ) -> MeasuredPSF:
     r"""Measure the PSF family of a lens from pictures at a few settings of its focus.
 
-    Of point sources, the kernel is what is seen, moved to its centroid, :math:`h = g / \sum g`.
-    Of a sharp picture f and a blurred one g, it is
+    For point sources, the kernel is the picture, moved to its centroid, :math:`h = g / \sum g`.
+    For a sharp picture f and a blurred one g, it is
 
     .. math:: \hat{h} = \underset{h \ge 0}{\text{arg min}} \sum_{\mathbf{x}}
         \left|(h \otimes f)[\mathbf{x}] - g[\mathbf{x}]\right|^2
 
-    normalised to sum 1. It is the calibration that Section III-A asks for.
+    normalised to sum 1. This is the calibration of Section III-A.
 
     Parameters
     ----------
     pictures : sequence of (H, W) or (H, W, 3) or (H, W, 4) array_like
         One picture for each setting, in any order; at least two settings. The luminance counts.
     scales : sequence of float, optional
-        Scale of each picture, in px, for instance from a linear focus scale; the scale of the
-        family is then what you say. By default it is measured: the blur radius, that of the disc
-        with the same second moment, which is the scale of all other families.
+        Scale of each picture, in px, for instance from a linear focus scale. These are then the
+        scales of the family. By default the blur radius is measured, as for all other families:
+        that of the disc with the same second moment.
     sharp : picture or sequence of pictures, optional
         The same scene in focus, taken with the same magnification: one for all pictures, or a
         list of one for each. Without it, the pictures show point sources.
@@ -71,8 +74,8 @@ def calibrate_psf(
         Largest scale that is looked for, in px; by default the largest in the pictures.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1. Point sources that reach 1 are left out. By
-        default integers have the range of their type; of floats that leave [0, 1] all pictures
-        share a range that none of them reaches, unless they are whole numbers of 8 or 16 bits.
+        default, integers have the range of their type. Floats that leave [0, 1] share a range
+        that no picture reaches, unless they are whole numbers of 8 or 16 bits.
     names : sequence of str, optional
         What the pictures are called, for the family's provenance.
     progress : callable, optional
@@ -86,23 +89,23 @@ def calibrate_psf(
     Raises
     ------
     TypeError, ValueError
-        If a picture is none (see `estimate_candidates`), if one has no usable point source, if
-        a sharp picture has another shape than its blurred one, if `scales`, `sharp` or `names`
-        are not as many as the pictures, or if there are fewer than two settings.
+        If one of them is not a picture (see `estimate_candidates`), or has no usable point
+        source. If a sharp picture has another shape than its blurred one. If `scales`, `sharp` or
+        `names` are not as many as the pictures, or there are fewer than two settings.
 
     Notes
     -----
-    A point source is usable if it is not saturated, and neither the picture's border nor
-    another one is within its own width. The usable ones are added, so that each weighs as much
-    as its light; those with less than a tenth of the brightest one's light are left out.
+    A point source is usable if it is not saturated, and if neither the picture's border nor another
+    source lies within its own width. The usable ones are added, so a brighter one weighs more.
+    Those with less than a tenth of the brightest one's light are left out.
 
     A sharp picture is aligned by whole px; the kernel minimises the squared difference between
     the blurred sharp picture and the blurred one, under the condition that it is nowhere
-    negative (Lawson and Hanson's algorithm on the normal equations). Of large pictures, the
-    middle 512 x 512 px are compared: a lens' PSF is not the same in its corners.
+    negative (Lawson and Hanson's algorithm on the normal equations). In large pictures, the middle
+    512 x 512 px are compared, because the PSF of a lens is another one in the corners.
 
-    Kernels are moved to their centroid by cubic splines. What lies below twice the noise around
-    them is left out.
+    Kernels are moved to their centroid by cubic splines. Values below twice the noise around them
+    are left out.
 
     Examples
     --------
@@ -194,7 +197,7 @@ def _shared_range(pictures: list[Any]) -> IntensityRange | None:
     What reaches 1 is saturated, so that there is room above numbers that say no limit.
     """
     seen = [given_image("picture", picture) for picture in pictures if picture is not None]
-    # What is no picture is told with its name, later.
+    # What is not a picture is told with its name, later.
     floats = [
         one for one in seen if one.dtype.kind in "uif" and one.ndim in (2, 3) and one.size > 0
     ]

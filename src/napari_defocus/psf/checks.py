@@ -10,14 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.checks import check_number
 
 _ROUNDING = 1e-9
-"""Of the largest value: kernels that went through an FFT are so far below 0 at most. By hand."""
+"""How far below 0 values may lie, as a share of the largest: that is rounding of an FFT. By hand.
+"""
 
 _LARGEST_SCALE = 10_000
 """px; the kernel of a disc of that radius takes 3 GB."""
 
 
 def checked_scale(scale: float) -> float:
-    """Check the scale that a kernel is asked for, in px; what is below 0 is a point, as 0 is."""
+    """Check the scale of a kernel, in px; scales below 0 are a point, as 0 is."""
     takes = f"a number of px up to {_LARGEST_SCALE}"
     check_number("scale", scale, lambda s: -math.inf < s <= _LARGEST_SCALE, takes)
     return max(float(scale), 0.0)

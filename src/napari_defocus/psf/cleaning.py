@@ -9,8 +9,8 @@ from scipy import ndimage
 Float64 = NDArray[np.float64]
 
 _KEPT_SMOOTH, _KEPT, _KEPT_SHARE = 3.0, 2.0, 1e-3
-"""What is visible of a kernel stands out by so many standard deviations of its border: smoothed,
-and as it is; and by so much of the brightest pixel. Chosen by hand.
+"""A part of a kernel is visible if it stands out by so many standard deviations of the border, once
+smoothed and once not, and by so much of the brightest pixel. Chosen by hand.
 """
 
 _OFF_CENTER = 0.02

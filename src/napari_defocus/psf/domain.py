@@ -18,7 +18,7 @@ from napari_defocus.psf.families import (
 )
 
 _SCALE_FREE = (Annulus, Disc, Gaussian, GeneralizedGaussian, Polygon)
-"""Families with one shape: seen with pixels twice as wide, half the radius."""
+"""Families with one shape: pixels that are twice as wide see half the radius."""
 
 
 def limited(psf: PSFFamily, largest: float) -> PSFFamily:

@@ -43,14 +43,14 @@ _GAUSSIAN_CUT = 4.0
 """Standard deviations: beyond them, on an axis, lies 6e-5 of the light."""
 
 _TAIL, _NODES = 1e-4, 128
-"""Of `GeneralizedGaussian`: the share of its discs, the largest ones, that is left out, and how
-many the others become (Gauss-Legendre nodes). Chosen by hand.
+"""For `GeneralizedGaussian`: the share of its largest discs that is left out, and how many discs
+stand for the others (Gauss-Legendre nodes). Chosen by hand.
 """
 
 
 @runtime_checkable
 class PSFFamily(Hashable, Protocol):
-    """What every PSF family offers.
+    """The interface of every PSF family.
 
     A family must be hashable and equal to another one that makes the same kernels: spectra
     are kept for the families that were used last.
@@ -86,7 +86,7 @@ class Disc:
     Raises
     ------
     TypeError, ValueError
-        If `max_radius` is no number, is not finite or below 1 px.
+        If `max_radius` is not a number, is not finite or below 1 px.
 
     Examples
     --------
@@ -136,7 +136,7 @@ class Annulus:
     Raises
     ------
     TypeError, ValueError
-        If `obstruction` is not in [0, 1) or `max_radius` not finite or below 1 px.
+        If `obstruction` is not in [0, 1) or `max_radius` is not finite or below 1 px.
 
     Examples
     --------
@@ -202,7 +202,7 @@ class Polygon:
     Raises
     ------
     TypeError, ValueError
-        If `blades` is no whole number from 3 up, `rotation` is not finite or `max_radius` not
+        If `blades` is not a whole number from 3 up, `rotation` is not finite or `max_radius` not
         finite or below 1 px.
 
     Examples
@@ -272,7 +272,7 @@ class Gaussian:
     Raises
     ------
     TypeError, ValueError
-        If `max_radius` is no number, is not finite or below 1 px.
+        If `max_radius` is not a number, is not finite or below 1 px.
 
     Examples
     --------
@@ -336,7 +336,7 @@ class GeneralizedGaussian:
     Raises
     ------
     TypeError, ValueError
-        If `exponent` is no number from 1 up or `max_radius` not finite or below 1 px.
+        If `exponent` is not a number from 1 up or `max_radius` is not finite or below 1 px.
 
     Examples
     --------
@@ -392,8 +392,8 @@ class GeneralizedGaussian:
 class KernelFunction:
     """A family from a function of your own, whose scale is what the function takes.
 
-    Maps and thresholds are in that scale; return twice the kernel's standard deviation along an
-    axis for what all other families have. Scale 0 is a point; the function is asked for scales
+    Maps and thresholds are in that scale. To have the scale of all other families, take twice the
+    kernel's standard deviation along an axis. Scale 0 is a point; the function is called for scales
     above 0 only.
 
     Parameters
@@ -443,9 +443,9 @@ class KernelFunction:
 
 @dataclass(frozen=True)
 class AutomaticPSF:
-    """The family that a picture is to choose, see `napari_defocus.estimate_candidates`.
+    """Let the picture choose the family, see `napari_defocus.estimate_candidates`.
 
-    It has no kernels: candidates of a picture have the family that was chosen.
+    It has no kernels. The candidates of a picture have the family that was chosen.
 
     Parameters
     ----------
@@ -455,7 +455,7 @@ class AutomaticPSF:
     Raises
     ------
     TypeError, ValueError
-        If `max_radius` is no number, is not finite or below 1 px.
+        If `max_radius` is not a number, is not finite or below 1 px.
 
     Examples
     --------

@@ -25,27 +25,27 @@ from napari_defocus.psf.pixel_areas import corners_to
 Float64 = NDArray[np.floating]
 
 _SMALLEST_RATIO = 1e-3
-"""No kernel is scaled down further. Chosen by hand."""
+"""The smallest factor by which a kernel is scaled. Chosen by hand."""
 
 _INVISIBLE = 1e-6
-"""Of the largest value: borders that are darker are cut off. Chosen by hand."""
+"""Borders darker than this share of the largest value are cut off. Chosen by hand."""
 
 _LARGEST_FILE = 2**30
 """Bytes that a file may unpack to; 100 kernels of 501 px are 0.2 GB."""
 
 _FORMAT = "napari-defocus measured PSF, 1"
-"""What files of ours say of themselves."""
+"""The name of the format, as our files state it."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class MeasuredPSF:
     r"""A family from kernels that were measured at some scales, as `calibrate_psf` makes it.
 
-    A lens' PSF is its aperture, scaled, and the largest kernel shows the aperture best: it is
-    scaled down to every scale. What a smaller measured kernel has beyond the larger ones scaled
-    down is scaled too and added, in full below its scale, fading linearly towards the next
-    larger one. So the measured kernels come out as they went in. Below the smallest the kernel
-    shrinks to a point; above the largest it grows.
+    The PSF of a lens is its aperture, scaled, and the largest kernel shows the aperture best. So it
+    is scaled down to every scale. A smaller measured kernel differs from the larger ones scaled
+    down. This difference is scaled and added: in full below its own scale, and fading linearly
+    towards the next larger one. So each measured kernel is reproduced exactly. Below the smallest
+    one the kernel shrinks to a point, and above the largest one it grows.
 
     With the kernels :math:`h_m` measured at :math:`r_1 < \ldots < r_M`, and :math:`S_q` for what
     scales a kernel by q and keeps its sum,
@@ -56,8 +56,8 @@ class MeasuredPSF:
         + \frac{r_m - r}{r_m - r_{m-1}} S_{r / r_{m-1}} d_{m-1}
         \quad \text{for } r_{m-1} < r \le r_m
 
-    A kernel measured at scale 0 is what the lens does in focus. It cannot shrink: below the
-    smallest of the others it is put in again, convolved, as they shrink.
+    A kernel measured at scale 0 is the blur of the lens in focus. It does not shrink: below the
+    smallest of the others, it is convolved with them as they shrink.
 
     Kernels are scaled by cubic splines through their cumulative sums, which are known at the
     corners of the pixels.
@@ -71,7 +71,7 @@ class MeasuredPSF:
     max_scale : float, optional
         Largest scale that is looked for, in px; the largest measured one by default.
     provenance : mapping, optional
-        What the kernels were made from, as JSON can hold it. It does not matter for equality.
+        What the kernels were made from, in a form that JSON can hold. Equality ignores it.
 
     Attributes
     ----------
@@ -261,7 +261,7 @@ class MeasuredPSF:
         # Damaged bytes lead zipfile, zlib and numpy into whatever they raise.
         except Exception as error:
             raise ValueError(
-                f"cannot read {path}: it is no measured PSF, or damaged ({error})"
+                f"cannot read {path}: it is not a measured PSF, or it is damaged ({error})"
             ) from error
 
 
@@ -283,7 +283,7 @@ def _checked_provenance(provenance: Mapping[str, Any] | None) -> dict[str, Any]:
     try:
         return json.loads(json.dumps(dict(provenance)))
     except (TypeError, ValueError) as error:
-        raise TypeError(f"provenance is nothing that JSON can hold: {error}") from None
+        raise TypeError(f"provenance does not fit into JSON: {error}") from None
 
 
 def _trimmed(kernel: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -56,7 +56,7 @@ def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
     Raises
     ------
     TypeError
-        If it is no text.
+        If it is not text.
     ValueError
         If the text says none of these, a parameter is out of its range, or the file cannot be
         read.

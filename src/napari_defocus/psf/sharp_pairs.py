@@ -14,19 +14,25 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _MIDDLE = 512
-"""px a side of what is compared: a lens' PSF is not the same in its corners. Chosen by hand."""
+"""px: side of the middle part that is compared, as the PSF of a lens differs in the corners. By
+hand.
+"""
 
 _REACHES = (4, 8, 12, 17, 23)
 """px from the middle of a kernel to its border, tried in turn until the border is dark. By hand."""
 
 _DARK = 0.05
-"""Of the brightest pixel: borders up to this mean are dark. Chosen by hand."""
+"""Borders are dark if their mean is at most this share of the brightest pixel. Chosen by hand."""
 
 _EXPLAINED = 0.5
-"""Of the blurred picture's variance: less, and the pictures do not show the same. By hand."""
+"""Share of the blurred picture's variance. If less is explained, the pictures show different
+things. By hand.
+"""
 
 _RIDGE = 1e-5
-"""Of the normal equations' mean diagonal, added to it (Tikhonov regularization). By hand."""
+"""Added to the diagonal of the normal equations, as a share of its mean (Tikhonov regularization).
+By hand.
+"""
 
 
 def kernel_of_pair(blurred: Float32, sharp: Float32, name: str) -> Float64:

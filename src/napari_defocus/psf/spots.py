@@ -15,7 +15,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _SATURATED = 1 - 1e-6
-"""Intensity from which on a spot counts as clipped: 1, but for rounding."""
+"""Spots of this intensity or more count as clipped: 1, less rounding."""
 
 _DETECTED_NOISE, _DETECTED_SHARE = 6.0, 0.05
 """A spot stands out by so many standard deviations of the noise, and by so much of the brightest
@@ -23,7 +23,7 @@ pixel. Chosen by hand.
 """
 
 _FAINT = 0.1
-"""Of the brightest spot's light: fainter ones are left out. Chosen by hand."""
+"""Spots with less than this share of the brightest one's light are left out. Chosen by hand."""
 
 _MARGIN = 3
 """px around a spot that have to be dark. Chosen by hand."""

@@ -54,9 +54,10 @@ class RestorationFit:
     tv_weight : float
         lambda of (19), as it was used.
     misfit : float
-        Variance of what noise, lens and map do not explain, intensities in [0, 1]; 0 if the
-        picture fits. Above 0, less blur was taken away, with more smoothing. Taken for granted
-        where the noise would hide it, from a variance of 2e-5 for a contrast of 1.
+        Variance of what noise, lens and map do not explain, for intensities in [0, 1]; 0 if the
+        picture fits. If it is above 0, less blur was taken away, with more smoothing. Noise
+        with a variance of 2e-5 or more, for a contrast of 1, would hide a misfit: then it is
+        assumed.
     """
 
     noise_variance: float

@@ -9,25 +9,24 @@ where |grad f|^2 is the sum over both directions and all channels: edges of the 
 the same places. As a prior, it says that pictures have few and steep edges. It is solved by
 iteratively reweighted least squares (IRLS; half-quadratic regularization: Geman and Reynolds,
 IEEE PAMI 14(3), 1992; lagged diffusivity: Vogel and Oman, SIAM J. Sci. Comput. 17(1), 1996). Each
-round replaces the second sum by the quadratic sum_x c_x |grad f[x]|^2 that touches it from above,
-with the IRLS weights c = lambda / (2 sqrt(|grad f|^2 + eps^2)) of the present f, and goes some
-steps of preconditioned conjugate gradients (PCG) towards the solution of
+round replaces the second sum by the quadratic sum_x c_x |grad f[x]|^2 that touches it from above.
+Its IRLS weights are c = lambda / (2 sqrt(|grad f|^2 + eps^2)) of the present f. Then some steps of
+preconditioned conjugate gradients (PCG) go towards the solution of
 
     (A' w A + grad' c grad) f = A' w g.
 
-The preconditioner consists of Wiener-like filters on overlapping tiles, each with its own scale:
-the blur is nearly constant in a tile, and what it takes away is what they give back. This is
-what makes it fast: without, ten times as many steps are not enough.
+The preconditioner consists of Wiener-like filters on overlapping tiles, each with its own scale. In
+a tile the blur is nearly constant, and the filter gives back what it takes away. Without the
+preconditioner, ten times as many steps are not enough.
 
-It is solved for in units of the picture's contrast, in which the constants below are meant.
+All is in units of the picture's contrast, also the constants below.
 
-Photographs do not fit (1) as simulations do: lenses, maps and depth edges are not what it says.
-What is left over of a first few rounds, beside what noise leaves over, tells; see `_misfit`. Then
-the misfit counts as more noise, which is smoothed away, and less of the blur is taken away.
+Photographs do not fit (1) as simulations do, because lenses, maps and depth edges are not exactly
+as it says. After a few rounds, the residual is compared with what noise leaves; see `_misfit`. The
+misfit then counts as more noise, which is smoothed away, and less of the blur is taken away.
 
-The picture is solved for on a domain that is larger than it by the reach of the PSF, where
-there are no data. Clipped highlights are data on one side only: they say nothing once A f is
-at least as bright.
+The domain is larger than the picture by the reach of the PSF; there are no data around the picture.
+Clipped highlights are data on one side only: they do not count once A f is at least as bright.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ lost is in docs/decisions.md.
 """
 
 _SILENCE = 1e-8
-"""Least noise variance, in units of the squared contrast: data without any noise do not outweigh
-everything. Chosen by hand.
+"""The least noise variance, in units of the squared contrast: without it, data without noise would
+outweigh everything. Chosen by hand.
 """
 
 _CLIPPED = 1 - 1 / 255
@@ -82,7 +81,7 @@ _CHECKED_AFTER = (2, 4)
 """Rounds, from 0, after which scales that explain nothing are reduced (docs/decisions.md)."""
 
 _GROSS = 8.0
-"""Times the noise that the residual's local power has to be. With 3 the gain on ramps fell to
+"""How many times the noise the residual's local power must be. With 3, the gain on ramps fell to
 6.6 dB (docs/decisions.md).
 """
 
@@ -93,13 +92,13 @@ _PROBED_AFTER = 2
 """The round, from 0, after which the misfit is measured."""
 
 _FITS, _FAILS = 1.2, 3.0
-"""The residual's power, times that of the noise, geometric mean over the picture: up to which the
-picture fits, and from which it does not (docs/decisions.md).
+"""Geometric mean of the residual's power over the picture, in units of the noise: up to the first
+value the picture fits, from the second on it does not (docs/decisions.md).
 """
 
 _LEFT_BY_TV = 2e-7
-"""Least power, in units of the squared contrast, that a residual is compared with: what the least
-lambda leaves over of pictures without noise.
+"""The least power, in units of the squared contrast, that a residual is compared with: what the
+least lambda leaves in pictures without noise.
 """
 
 _MISFIT = 0.0075
@@ -109,41 +108,41 @@ _TV_OF_MISFIT = 30.0
 """lambda of (19): so many times the variance of the misfit, as of the noise."""
 
 _LOWERED = (0.25, 1.25)
-"""Standard deviations by which scales are lowered in the two pictures that are averaged where the
-model does not fit: around the quantile of 10 % of a normal distribution, if the map is that of
-30 % (docs/decisions.md).
+"""Standard deviations by which scales are lowered in the two pictures that are averaged, where the
+model does not fit: around the 10 % quantile of a normal distribution, if the map is that of 30 %
+(docs/decisions.md).
 """
 
 _TOLERATED, _LARGEST_DEVIATION = 0.5, 3.0
-"""px: the error that the confidence is the probability of staying below, and the largest standard
-deviation that is read from it. The first is that of `confidence_map`.
+"""px: the error that `confidence_map` tolerates, and the largest standard deviation that is derived
+from a confidence.
 """
 
 _MISFIT_ROUNDS = 4
 """Rounds for each of the two pictures: a large lambda settles sooner."""
 
 _LEAST_SHARE_WITHIN = 1e-3
-"""Least erfinv of the confidence: only keeps the division from failing."""
+"""The least erfinv of the confidence, so that it can be divided by."""
 
 _LEAST_POWER = 1e-3
 """Least power of the residual in the geometric mean, in units of the noise variance."""
 
 _RESIDUAL_SIGMA, _RESIDUAL_REACH = 3.0, 4
-"""px: over which the residual's power is averaged, and how far around the scale is reduced.
-Chosen by hand.
+"""px: the Gaussian over which the residual's power is averaged, and how far around the scale is
+reduced. Chosen by hand.
 """
 
 _LEAST_KNOWN = 0.05
-"""Share of its surroundings that is not clipped, from which on a residual counts. By hand."""
+"""A residual counts if at least this share of its surroundings is not clipped. By hand."""
 
 _LEAST_SHARE, _UNCHANGED = 0.5, 0.95
-"""By how much a scale is reduced at most at once, and from which factor on it stays. Chosen by
+"""The smallest factor by which a scale is reduced at once; above the second factor it stays. By
 hand.
 """
 
 _PRECONDITIONED_TV = 15.0
-"""Of the TV's weight: the constant IRLS weight c that the preconditioner assumes, that of a
-gradient of 1/30 of the contrast. Chosen by hand.
+"""The constant IRLS weight c that the preconditioner assumes for the TV: that of a gradient of 1/30
+of the contrast. Chosen by hand.
 """
 
 
@@ -273,7 +272,7 @@ class Deconvolution:
                 start = _STEPS_A_ROUND * (_MISFIT_ROUNDS * number + count)
                 for step in self._pcg_steps(one, epsilon):
                     done = probed + (1 - probed) * (start + step) / whole
-                    progress("Taking the blur away with care: lens or map may not fit", done)
+                    progress("Taking less blur away: the lens or the map may not fit", done)
                 epsilon = max(epsilon / 2, _LEAST_EPSILON)
             sharp += one[self._blur.inner] + share * self._texture(one, noise)
         sharp /= np.float32(len(deviations))
@@ -321,10 +320,10 @@ class Deconvolution:
         )
 
     def _weights(self, scales: Float32) -> Float32:
-        """Return the weights w of the data, (H, W, 1): noise over noise and what else is wrong.
+        """Return the weights w of the data, (H, W, 1): noise over noise and other errors.
 
-        As the heat equation has it, a scale that is wrong by d px changes g by about
-        d (dv/dr) / 2 laplace g, with the variance v(r) of the PSF, see `half_variance_slope`.
+        A scale that is wrong by d px changes g by about d (dv/dr) / 2 laplace g, by the heat
+        equation, with the variance v(r) of the PSF, see `half_variance_slope`.
         """
         weight = np.ones((*scales.shape, 1), np.float32)
         if self._sure is not None:
@@ -374,8 +373,8 @@ class Deconvolution:
     def _with_less_blur(self, scales: Float32, sharp: Float32) -> tuple[Float32, Float32]:
         """Reduce the scales where the result does not explain the picture, and start anew there.
 
-        Too small a scale leaves blur, but hardly an error; too large a one, or two depths under
-        one PSF, cannot be explained by any picture that is not full of rings.
+        Too small a scale leaves blur, but hardly an error. With too large a one, or two depths
+        under one PSF, only a picture full of rings would explain the data.
         """
         power = self._residual_power(sharp)
         expected = _GROSS * (self._noise_variance + _VISIBLE)

@@ -1,9 +1,9 @@
 """The preconditioner of the conjugate gradients of (19): overlapping tiles, a Wiener filter each.
 
-In a tile of one scale with the transfer function H, mean weight w and constant IRLS weight c,
-A' w A + grad' c grad is about the convolution with the spectrum w |H|^2 + c |D|^2, where |D|^2 is
-the Laplacian's; tiles are divided by that. Windows of sines, once before and once after, have
-squares that add up to 1.
+Take a tile of one scale with the transfer function H, the mean weight w and the constant IRLS
+weight c. There, A' w A + grad' c grad is about the convolution with the spectrum w |H|^2 + c |D|^2,
+where |D|^2 is that of the Laplacian. Tiles are divided by this spectrum. Sine windows are applied
+before and after it; their squares add up to 1.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from napari_defocus.psf.families import PSFFamily
 Float32 = NDArray[np.float32]
 
 _TILE = 64
-"""px: the least side of a tile (docs/decisions.md); two kernels if that is more."""
+"""px: the least side of a tile (docs/decisions.md), or two kernels if that is more."""
 
 _SCALE_STEP = 0.25
 """px between the scales that tiles may have. Chosen by hand."""

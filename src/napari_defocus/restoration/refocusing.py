@@ -36,7 +36,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 _LAYER, _MOST_LAYERS = 0.25, 32
-"""px of blur, before or after, from layer to layer, and how many there are at most. By hand."""
+"""px of blur from layer to layer, before or after the change, and the most layers. By hand."""
 
 
 def change_focus(
@@ -55,32 +55,32 @@ def change_focus(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> Float32:
-    r"""Focus a picture on something else, or open or close its aperture, afterwards.
+    r"""Change the focus or the aperture of a picture after it was taken.
 
-    A thin lens blurs what lies at the distance d, when it is focused on s, by the signed radius
-    r, positive beyond s, where R is proportional to the aperture's diameter. Focused on s'
-    instead, where r was :math:`r_0`, the argument `focus`, and with the aperture A times as wide,
-    the argument `aperture`, it blurs the same point by r':
+    A thin lens that is focused at the distance s blurs a point at the distance d by the signed
+    radius r, positive beyond s; R is proportional to the diameter of the aperture. Now the lens is
+    focused at s' instead, where r was :math:`r_0` (the argument `focus`), and its aperture is made
+    A times as wide (the argument `aperture`). Then it blurs the same point by r':
 
     .. math:: r = R \left(\frac{1}{s} - \frac{1}{d}\right), \qquad r' = A \, (r - r_0)
 
-    whatever R, s and d are. (A lens that is focused nearer also makes the picture larger, radii
-    and all, by (1 - f/s) / (1 - f/s') with the focal length f: by 1.02 for 50 mm from 2 m to
-    1.2 m. The size stays as it is here.) An aperture above 1 magnifies the defocus, as Bae and
-    Durand do [1]_; one below 1 reduces it, and 0 leaves the all-in-focus picture.
+    This holds for any R, s and d. A real lens that is focused nearer also magnifies the picture, by
+    (1 - f/s) / (1 - f/s') with the focal length f: by 1.02 for 50 mm from 2 m to 1.2 m. Here the
+    size stays the same. An aperture above 1 magnifies the defocus, as Bae and Durand do [1]_. One
+    below 1 reduces it, and 0 gives the all-in-focus picture.
 
-    The all-in-focus picture is blurred again as `simulate_layered_defocus` does it: nearer
-    things hide farther ones, and what they hid before is filled from around. The same is done
-    with the old radii, and what is seen in the picture but not in that, such as noise, fine
-    texture and the light of highlights, is added: blurred by :math:`\sqrt{r'^2 - r^2}` where the
-    blur grows, reduced by :math:`|r' / r|` where it shrinks. With :math:`B_r` for this forward
-    model and the all-in-focus picture :math:`\hat{f}`,
+    The all-in-focus picture is blurred again as `simulate_layered_defocus` does it: nearer things
+    hide farther ones, and what they hid before is filled from around. The same is done with the old
+    radii. What the picture has beyond that, such as noise, fine texture and the light of
+    highlights, is added. It is blurred by :math:`\sqrt{r'^2 - r^2}` where the blur grows, and
+    reduced by :math:`|r' / r|` where it shrinks. With :math:`B_r` for this forward model and the
+    all-in-focus picture :math:`\hat{f}`,
 
     .. math:: g' = B_{r'} \hat{f} + B_{\sqrt{\max(r'^2 - r^2, \, 0)}} \left(
         \min(1, |r' / r|) \, (g - B_r \hat{f})\right)
 
-    So nothing changes where the radius stays, and where it grows, faults of the all-in-focus
-    picture hardly show. Where it shrinks, they do.
+    So nothing changes where the radius stays the same. Where it grows, faults of the all-in-focus
+    picture hardly show. Where it shrinks, they show.
 
     Parameters
     ----------
@@ -90,27 +90,27 @@ def change_focus(
         The blur radius at every pixel, in px, within the family's domain; such as from
         `estimate_blur_map`.
     focus : float, optional
-        The scale, in px, of what shall be sharp: on the chosen side of the old focus, or on the
-        other if negative. If `side` is an array, positive is beyond. That of a distance comes
-        from `blur_from_depth`.
+        The scale, in px, of what becomes sharp: on the chosen side of the old focus, or on the
+        other side if negative. If `side` is an array, positive is beyond. `blur_from_depth`
+        returns the scale of a distance.
     aperture : float, optional
-        How many times as wide the blur shall be, from 0 up.
+        How many times as wide the blur becomes, from 0 up.
     side : {"far", "near"} or (H, W) bool array_like, optional
         Whether what is blurred lies beyond the old focus; for each pixel, True where it does.
     psf : PSFFamily or callable, optional
-        The family of the map. Half a turn is given to the kernels of what comes to lie on the
-        other side of the focus: it matters for odd numbers of blades.
+        The family of the map. Kernels of things that change to the other side of the focus are
+        turned by 180 degrees, which matters for odd numbers of blades.
     all_in_focus : array_like, optional
         From `restore_all_in_focus` with the same arguments, in [0, 1], or any other sharp
-        version of the picture. Without it, it is made first, which takes most of the time. For
-        a map that is estimated, one of `cautious_blur_map` is better.
+        version of the picture. If it is missing, it is made first, which takes most of the time.
+        For an estimated map, one made with `cautious_blur_map` is better.
     noise_variance, confidence, tv_weight
         See `restore_all_in_focus`; not used if `all_in_focus` is given. The confidence is 1
         everywhere if left out.
     linearize : {"srgb"} or None, optional
-        Decode into linear light, restore and blur there, and encode again. Light is what adds
-        up in a lens: highlights become discs, not grey. A highlight that was clipped has the
-        light of white, no more; the discs of a real lens would be brighter.
+        Decode into linear light, restore and blur there, and encode again. A lens adds up light,
+        so that highlights become discs and not grey. A clipped highlight counts as white; the
+        discs of a real lens would be brighter.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1; found by default, see `estimate_candidates`.
     progress : callable, optional
@@ -125,9 +125,10 @@ def change_focus(
     Raises
     ------
     TypeError, ValueError
-        If `image` is no picture (see `estimate_candidates`), another array has not its height
-        and width, an argument is of another kind or out of range, or the new radii are larger
-        than the picture's longer side or than a family of your own can be; before any work.
+        If `image` is not a picture (see `estimate_candidates`), or another array has another
+        height and width. If an argument is of another kind or out of range. If the new radii are
+        larger than the picture's longer side, or than your own family allows. All of this is
+        checked before any work.
 
     References
     ----------

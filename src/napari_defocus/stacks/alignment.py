@@ -27,7 +27,7 @@ _KEYS = ("shift_rows", "shift_columns", "magnification", "turn_degrees", "uncert
 _TAKES = "it takes a file that StackAlignment.save wrote"
 
 _ALL_KNOWN = 0.999
-"""Share of what a pixel is interpolated from that has to be known: all but for rounding."""
+"""The share of an interpolated pixel's sources that must be known: all, less rounding."""
 
 SPLINE = 5
 """Order of the splines between pixels. Half a pixel and back costs pictures that a camera has
@@ -126,7 +126,7 @@ class StackAlignment:
 
     @property
     def motion(self) -> Float64:
-        """How far the place of each plane that moves the most is from where it was: (Z,) px."""
+        """How far the pixel that moves most has moved, for each plane: (Z,) px."""
         corners = np.array([complex(*corner) for corner in self._corners()])
         factors = self.magnification * np.exp(1j * np.deg2rad(self.turn))
         shifts = self.shift[:, 0] + 1j * self.shift[:, 1]

@@ -70,10 +70,10 @@ def composite_at(
     blend: bool = True,
     progress: Progress = silent,
 ) -> NDArray[Any]:
-    """Put the planes of a stack together at positions that another one has told.
+    """Put the planes of a stack together at positions that were found in another one.
 
-    Such as another channel of the same scene, whose own texture would tell less, or something
-    else. Planes are read one at a time, three to five times each.
+    The stack may be another channel of the same scene, whose own texture would tell less. Planes
+    are read one at a time, three to five times each.
 
     Parameters
     ----------
@@ -82,10 +82,10 @@ def composite_at(
     stack : (Z, H, W) or (Z, H, W, 3) or (Z, H, W, 4) array_like
         As in `sharpest_plane`, of any dtype; numpy, dask, zarr.
     axes, channel, time : optional
-        Which planes are meant, as in `sharpest_plane`.
+        Which planes to take, as in `sharpest_plane`.
     alignment : StackAlignment, optional
-        That of the stack which told the positions, `SharpestPlane.alignment`: a stage that
-        drifted has done so for all channels. None if its planes lie on each other.
+        The alignment of the stack in which the positions were found, `SharpestPlane.alignment`: a
+        stage that drifts does so for all channels. None if its planes lie on each other.
     match_brightness : "auto" or bool, optional
         As in `sharpest_plane`.
     px_per_plane : float, optional

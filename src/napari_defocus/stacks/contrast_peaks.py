@@ -20,18 +20,18 @@ Mask = NDArray[np.bool_]
 Peak = Literal["strongest", "first", "last"]
 
 _LEAST_PEAK, _LEAST_OF_OTHER, _DEEPEST = 3.0, 0.1, 0.5
-"""Power of a second peak, in units of the noise's, and of the first one's; and how deep the valley
-is, at most, of the second peak. Chosen by hand.
+"""The least power of a second peak, in units of the noise's and of the first peak's; and how deep
+the valley must be, at most, as a share of the second peak. Chosen by hand.
 """
 
 _AROUND = 1.0
 """Windows: standard deviation of the Gaussian that averages power. Chosen by hand."""
 
 _APART = 2
-"""Planes between peaks, at least."""
+"""The least number of planes between two peaks."""
 
 _LEAST_KNOWN = 1e-3
-"""Share of the windows averaged, that is divided by."""
+"""The least share of averaged windows that is divided by."""
 
 
 def check_peak(peak: Any) -> None:

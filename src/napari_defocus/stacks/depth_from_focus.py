@@ -1,16 +1,16 @@
 """Depth from focus: where along a stack each place is sharp, by the power its planes share.
 
-A thin lens that is moved by equal steps blurs by r_z = k |z - z0| px in plane z. One scene is
-behind all planes, so that its local power S_f at a frequency f, which (5) does not know for a
-single picture, is the same in each of them: plane z should have S_f B_f(r_z) + n_f, with B the
-blur spectrum (6) and n that of the noise (7). What is seen there, P_zf, costs the deviance of
-(5) from a perfect fit,
+A thin lens that is moved by equal steps blurs by r_z = k |z - z0| px in plane z. All planes show
+one scene. So its local power S_f at a frequency f, which is unknown for a single picture, is the
+same in each of them. Plane z should have the power S_f B_f(r_z) + n_f, with the blur spectrum B (6)
+and the spectrum n of the noise (7). The power P_zf that is seen costs the deviance of (5) from a
+perfect fit,
 
     d = q - 1 - log q   with   q = P_zf / (S_f B_f(r_z) + n_f),
 
 and a place in focus at z0 costs the sum of d over planes and frequencies, with the best S_f.
-That is far sharper evidence than the curves of single pictures, which have to tell a blurred
-edge from a smooth thing; and it needs no resolution in frequency, so that windows can be small.
+That is far sharper evidence than the curves of single pictures, where a blurred edge and a smooth
+thing look alike. It needs no resolution in frequency, so windows can be small.
 Planes blurred by more than the family's largest scale count as blurred by that much.
 
 Frequencies are joined in rings (the same |f|), and both gradients are added. Memory grows by
@@ -37,30 +37,31 @@ Float64 = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 _RING_WIDTH = np.sqrt(2)
-"""Cycles a window, of a ring of frequencies. Chosen by hand."""
+"""Width of a ring of frequencies, in cycles per window. Chosen by hand."""
 
 _LEAST_NOISE = 1e-9
-"""Variance of the noise, for a contrast of 1, at least. Chosen by hand."""
+"""The least variance of the noise, for a contrast of 1. Chosen by hand."""
 
 _SCORING_ROUNDS = 2
 """Steps of Fisher scoring after least squares. Chosen by hand."""
 
 _LEAST_POWER, _TINY = np.float32(1e-3), np.float32(1e-12)
-"""P_zf in units of the noise, whose logarithm is taken, at least; and what is added to squares that
-are divided by. Chosen by hand.
+"""The least P_zf whose logarithm is taken, in units of the noise; and what is added to squares
+before they are divided by. Chosen by hand.
 """
 
 _MOST_DEVIANCE = np.float32(3)
 """Units of log-likelihood that d of one plane and frequency counts at most. Chosen by hand."""
 
 _LEAST_DISPERSION = np.float32(0.05)
-"""Of a window: no fit is trusted beyond. Chosen by hand."""
+"""The least dispersion of a window: no fit is trusted more. Chosen by hand."""
 
 _ENOUGH = np.float32(0.9)
-"""Of what the best plane knows of a window, planes need so much to have a say. Chosen by hand."""
+"""A plane counts if it knows at least this share of what the best plane knows of a window. By hand.
+"""
 
 _ROWS_AT_ONCE = 64
-"""Of windows. Results do not depend on it."""
+"""Rows of windows that are worked on at once. Results do not depend on it."""
 
 _LEAST_BLUR, _MOST_PX_A_PLANE = 0.7, 8.0
 """px: the least blur over a whole stack, and the most from plane to plane, that is looked for.
@@ -68,16 +69,16 @@ Chosen by hand.
 """
 
 _LADDER, _HALVINGS = np.sqrt(2), 4
-"""From one rate of px a plane that is tried to the next, and how often half of that is tried around
-the best. Chosen by hand.
+"""The factor from one rate (px a plane) to the next that is tried, and how often it is halved
+around the best one. Chosen by hand.
 """
 
 _WINDOWS_FOR_RATE = 400
-"""About so many windows tell the rate. Chosen by hand."""
+"""About so many windows decide about the rate. Chosen by hand."""
 
 _LEAST_PEAK, _LEAST_RISE, _FEWEST_WINDOWS = 4.0, 1.5, 8
-"""A window tells it whose power in the sharpest plane is so many times that of noise, and so many
-times its median; there have to be so many. Chosen by hand.
+"""Windows decide if their power in the sharpest plane is so many times that of the noise and so
+many times its median over the planes. There must be at least so many. By hand.
 """
 
 _HALF_PLANE = 0.5
@@ -150,7 +151,7 @@ class RingBank:
 
 
 def heard_where(shares: list[Float32]) -> Mask:
-    """Return where planes have a say, (P, Z): where they know about as much as any plane does."""
+    """Return which planes count, (P, Z): those that know about as much as the best plane."""
     share = np.stack([each.ravel() for each in shares], axis=1)
     return share >= _ENOUGH * share.max(axis=1, keepdims=True)
 
@@ -208,8 +209,9 @@ class StackPower:
     def px_per_plane(self) -> float:
         """Find by how many px the blur grows from plane to plane; NaN without any texture.
 
-        The width of the peak that each ring's power has along the planes tells it: the rate with
-        the least deviance over the windows with the most texture, from a ladder of rates.
+        It follows from the width of the peak that each ring's power has along the planes. Of
+        several rates, the one with the least deviance over the windows with the most texture is
+        taken.
         """
         power, heard = self._some_with_texture()
         if not len(power):
@@ -230,7 +232,7 @@ class StackPower:
         return float(best)
 
     def peak(self) -> Float32:
-        """Return the most power of each window, in planes that have a say: (P,)."""
+        """Return the most power of each window, in planes that count: (P,)."""
         return self._peak_and_median()[0]
 
     def excess(self) -> Float64:
@@ -247,7 +249,7 @@ class StackPower:
         return np.einsum("pbz,b->pz", self.power, members / members.sum())
 
     def _peak_and_median(self) -> tuple[Float32, Float32]:
-        """Return the largest and the median power of each window, of planes that have a say."""
+        """Return the largest and the median power of each window, in planes that count."""
         mean = self.mean_power()
         if self.heard.all():
             return mean.max(axis=1), np.median(mean, axis=1)

@@ -1,14 +1,13 @@
-"""How bright each plane of a stack is against the others: measured where neighbours show the same.
+"""How bright each plane of a stack is, compared with the others.
 
-A lamp that flickers multiplies the light of a plane; what a camera adds stays. With o for that
-offset and g for the light of the next plane against this one, the next plane's mean over a square
-of 32 px is
+A lamp that flickers multiplies the light of a plane, but not the offset o that the camera adds. If
+the next plane has g times the light of this one, its mean over a square of 32 px is
 
     b = o + g (a - o)
 
-Squares are larger than most blur, which moves light but loses none. g is the median of what the
-squares say, by their light; o, the same for all planes, is what leaves the least, from 0 to the
-darkest place, and 0 unless that is clearly more.
+Squares are larger than most blur, which moves light but does not lose any. g is the median over the
+squares, weighted by their light. o is the same for all planes, from 0 to the darkest place: the
+offset that leaves the least difference, or 0 if it does not leave clearly less than 0 does.
 """
 
 from __future__ import annotations
@@ -27,16 +26,18 @@ _CELL = 32
 """px: side of the squares whose means are compared. Chosen by hand."""
 
 _OFFSETS = 9
-"""How many offsets of a camera are tried; as many again between the neighbours of the best."""
+"""How many offsets of a camera are tried, and again as many between the neighbours of the best."""
 
 _CLEARLY = 0.7
-"""Of what no offset leaves, an offset leaves at most: blur, too, makes squares alike. By hand."""
+"""An offset must leave at most this share of what no offset leaves, because blur also makes squares
+alike. By hand.
+"""
 
 _DARK = 0.05
-"""Of the mean light: darker squares tell nothing. Chosen by hand."""
+"""Squares darker than this share of the mean light do not count. Chosen by hand."""
 
 _LEAST_ERROR = 1e-4
-"""Of a gain: no measurement is surer. Chosen by hand."""
+"""The least error of a gain. Chosen by hand."""
 
 _OF_MEDIAN = 1.2533
 """Standard error of a median against that of a mean, for a normal distribution."""
@@ -45,7 +46,7 @@ _NORMAL = 1.4826
 """Standard deviations of a normal distribution in its median absolute deviation."""
 
 LARGEST_DRIFT = 2.0
-"""Factor by which planes may differ in brightness: more is no flicker. Chosen by hand."""
+"""The largest factor between planes that counts as flicker. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,23 +21,23 @@ from napari_defocus.settings import CONFIDENT, MaskSettings
 Float64 = NDArray[np.float64]
 
 COLUMNS = ("share_in_focus", "median_radius_px", "median_confidence", "share_sure")
-"""Of the table that `FocusCurve.save` writes, after those of the plane."""
+"""Columns of the table that `FocusCurve.save` writes, after those of the plane."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FocusCurve:
-    """What each plane of a stack has, from `focus_curve`.
+    """How sharp each plane of a stack is, from `focus_curve`.
 
     Attributes
     ----------
     share_in_focus : (...) float64 ndarray
-        Of the plane's pixels, from 0 to 1; NaN for a plane of which nothing is known.
+        The share of the plane's pixels, from 0 to 1; NaN for a plane of which nothing is known.
     median_radius : (...) float64 ndarray
-        In px; NaN as before.
+        In px; NaN as above.
     median_confidence : (...) float64 ndarray or None
         From 0 to 1; None if no confidence was given.
     share_sure : (...) float64 ndarray or None
-        Of the plane's pixels, those whose confidence is high.
+        The share of the plane's pixels whose confidence is high; None as above.
     """
 
     share_in_focus: Float64
@@ -47,7 +47,7 @@ class FocusCurve:
 
     @property
     def best(self) -> tuple[int, ...] | None:
-        """Index of the plane with the most in focus; of several, of the least median radius.
+        """Index of the plane with the most in focus; the least median radius decides a tie.
 
         None if nothing is known of any plane.
         """
@@ -61,8 +61,8 @@ class FocusCurve:
     def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
         """Write the curve as a table, whole or not at all.
 
-        It is a CSV file with a row a plane. The first column, or columns if planes are counted
-        along several axes, say which plane, from 0; what is not known is left empty.
+        It is a CSV file with a row for each plane. The first column says which plane, from 0;
+        there are several if planes are counted along several axes. Unknown values are empty.
 
         Parameters
         ----------
@@ -119,19 +119,19 @@ def focus_curve(
     Parameters
     ----------
     blur_maps : (..., H, W) array_like
-        Blur maps in px, such as `estimate_blur_map` makes of every plane; numpy, dask, zarr, or
-        anything else with a shape that gives its planes by their index. NaN and infinite values
-        are pixels of which nothing is known: they do not count.
+        Blur maps in px, such as `estimate_blur_map` makes of every plane. NumPy, dask, zarr, and
+        anything else with a shape whose planes are read by their index, will do. NaN and infinite
+        values are unknown pixels: they do not count.
     in_focus : (..., H, W) array_like, optional
-        Masks, such as those of `segment_in_focus`: not 0 in focus. Without, what is blurred by
-        `threshold` or less is in focus.
+        Masks, such as those of `segment_in_focus`: 0 is blurred, all else in focus. Without masks,
+        what is blurred by `threshold` or less is in focus.
     confidence : (..., H, W) array_like, optional
-        Such as `confidence_map` makes of every plane, from 0 to 1. Where it is 0, such as
-        outside of a region that was analysed, pixels do not count at all.
+        Confidences, such as `confidence_map` makes of every plane, from 0 to 1. Pixels where it
+        is 0, such as those outside of an analysed region, do not count at all.
     threshold : float, optional
         In px, from 0 up; not used if there are masks.
     min_confidence : float, optional
-        From which confidence on a pixel is sure.
+        The least confidence of a sure pixel.
     progress : callable, optional
         Called with a step's name and the share that is done, after every plane.
 

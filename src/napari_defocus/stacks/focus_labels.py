@@ -1,16 +1,15 @@
 """A coherent position of best focus: labels of blocks, of pixels beside jumps, and between.
 
 A label is a position in the stack, a quarter of a plane from the next one. Labels are chosen as
-those of a blur map are, as the most likely state of a Markov random field with `depth_from_focus`
-as data term: a minimum of (14), with the pairwise term (15) per label step and the weights (16)
-from a picture that is sharp everywhere.
+those of a blur map are: as the most likely state of a Markov random field, a minimum of (14).
+`depth_from_focus` is its data term. The pairwise term (15) counts label steps, and the weights (16)
+come from a picture that is sharp everywhere.
 
-Beside clear jumps, windows see both sides, and the sharper texture wins. There each pixel is
-asked itself: how much less its focus measure, the energy of fine detail, is at a position than at
-the one where it is most.
-Blur never adds detail, but light from across an edge does: up to 12 px from a jump the peak was
-right at 86 to 98 % of the pixels, where the fit of the whole curve, which such light misleads,
-was at 70 to 86 % (noise 1e-6).
+Beside clear jumps, windows see both sides, and the sharper texture wins. There, each pixel has a
+data term of its own: how much its focus measure, the energy of fine detail, is below its peak at
+a position. Only the peak counts, because light from across an edge adds detail to other planes. Up
+to 12 px from a jump, the peak was right at 86 to 98 % of the pixels, and the fit of the whole curve
+at 70 to 86 % (noise 1e-6).
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ REACH = 6
 """How far, in px, a jump may be moved off the blocks at once. Chosen by hand."""
 
 _DEPTH = np.float32(15)
-"""Units of log-likelihood that a position costs at most, as in labeling/data_term.py."""
+"""The most that a position costs, in units of log-likelihood, as in labeling/data_term.py."""
 
 _NEIGHBORHOOD = 4.0
 """px: standard deviation of the Gaussian that averages evidence. Chosen by hand."""
@@ -60,7 +59,7 @@ Chosen by hand.
 """
 
 _LEAST_ENERGY = np.float32(1e-9)
-"""Of the focus measure, for a contrast of 1, whose logarithm is taken. Chosen by hand."""
+"""The least focus measure whose logarithm is taken, for a contrast of 1. Chosen by hand."""
 
 _MEASURE_DEPTH, _MEASURE_WEIGHT = np.float32(2), np.float32(180)
 """Units of its logarithm that the focus measure may lack at most, and what one costs, in the units
@@ -68,22 +67,24 @@ of the data term. Chosen by hand; how often the peak was right is said above.
 """
 
 _PIXEL_SMOOTHNESS = 0.2
-"""Of the smoothness of blocks, between pixels. Chosen by hand."""
+"""The smoothness between pixels, as a share of that between blocks. Chosen by hand."""
 
 _CLEAR_JUMP = 4.0
-"""Planes, within reach: beside smaller jumps, and on slopes, windows know better. By hand."""
+"""The least jump, in planes, within reach: windows are better beside smaller jumps and on slopes.
+By hand.
+"""
 
 _TEMPER = 0.7
 """Power of the likelihood, before positions are compared for the confidence. Chosen by hand."""
 
 _WEIGHT_OF_MASS, _BIAS = 1.12, 4.07
-"""Of the logistic curve from log odds to the confidence: fitted by benchmarks/stacks.py --fit."""
+"""The logistic curve from log odds to the confidence, fitted by benchmarks/stacks.py --fit."""
 
 _LEAST_ODDS = 5e-4
 """Added to both shares, so that their log odds are finite. Chosen by hand."""
 
 _ROUNDING, _TINY = 1e-4, 1e-12
-"""Planes that rounding may take, and a weight that is divided by at least."""
+"""Differences of positions that are rounding, and the least weight that is divided by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +221,9 @@ class FocusCostVolume:
     def confidence(self, position: Float32) -> Float32:
         """Return the probability that each position is within half a plane of the true one.
 
-        As `confidence_map` does for radii: from the share of the likelihood, limited in depth
-        and averaged over the neighbouring windows, that lies within half a plane of the
-        position. Without evidence it is the share of all positions that do.
+        It comes from the share of the likelihood within half a plane of the position, as
+        `confidence_map` does for radii. The likelihood is limited in depth and averaged over the
+        neighbouring windows. Without evidence, it is the share of all positions that are so near.
         """
         rows, columns = (
             np.rint(centers).astype(int)

@@ -42,18 +42,20 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 WINDOW = 17
-"""px: planes are compared with each other, which needs no resolution in frequency. By hand."""
+"""px. It may be small, because comparing planes with each other needs no resolution in frequency.
+By hand.
+"""
 
 _RATE_WINDOW, _RATE_STRIDE = 33, 8
-"""px: how fast the blur grows is told by its absolute width, which does need resolution. Chosen by
-hand.
+"""px. It is larger, because how fast the blur grows follows from its width, which needs resolution
+in frequency. Chosen by hand.
 """
 
 _LABELS_A_PLANE, _PX_A_LABEL = 4, 0.125
 """Labels from plane to plane at most, and px of blur from label to label at least. By hand."""
 
 _ASSUMED_RATE = 1.0
-"""px a plane, where there is no texture to tell it. Chosen by hand."""
+"""px a plane that are assumed where no texture tells it. Chosen by hand."""
 
 _MEASURE_AREA = 2.0
 """px: standard deviation of the Gaussian over which the focus measure is averaged, for the colours
@@ -61,12 +63,12 @@ of the sharpest plane. Chosen by hand.
 """
 
 _LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
-"""Mean above the darkest places, of the contrast, from which on planes are compared in brightness;
-and by which factor they may differ at most. Chosen by hand.
+"""Planes are compared in brightness if their mean is so much above the darkest places, in units of
+the contrast; and the largest factor between them. Chosen by hand.
 """
 
 _FEW_PEAKS = 0.005
-"""Share of the picture: two peaks on less are not told. Chosen by hand."""
+"""Share of the picture: two peaks on less of it are not mentioned. Chosen by hand."""
 
 _DARKEST = 0.001
 """Quantile of a plane that counts as dark. Chosen by hand."""
@@ -86,28 +88,28 @@ class SharpestPlane:
         All in focus, in the stack's dtype: planes blended by position and detail, or each pixel
         from `plane`.
     confidence : (H, W) float32 ndarray
-        Probability that `position` is within half a plane of the true one, from 0 to 1. Where
-        no plane shows any texture it is low: positions are extrapolated from around.
+        Probability that `position` is within half a plane of the true one, from 0 to 1. It is
+        low where no plane shows any texture: there, positions come from around.
     share_of_plane : (Z,) float64 ndarray
-        Which share of the pixels is sharpest in each plane; together 1.
+        The share of the pixels that are sharpest in each plane; they add up to 1.
     px_per_plane : float
-        By how many px the radius of the blur grows from plane to plane, given, or found: 5 to
-        15 % too small at 1 px a plane, up to 35 % where the focus is steep and most planes are
-        blurred by more than the family's largest scale; positions hardly depend on it. NaN if
-        there was no texture to find it by.
+        By how many px the radius of the blur grows from plane to plane, given or found. What is
+        found is 5 to 15 % too small at 1 px a plane. It is up to 35 % too small where the focus
+        is steep and most planes are blurred by more than the family's largest scale. Positions
+        hardly depend on it. NaN if there was no texture to find it by.
     noise_variance : float
         Of the luminance, intensities in [0, 1], given or found.
     intensities : Intensities
         Which intensities of all planes are 0 and 1, and the contrast of the sharpest pixels.
     alignment : StackAlignment or None
-        How the planes lay on the middle one, and were moved back; positions, composite and all
-        else lie as that plane does. None if they were taken as they are.
+        How the planes lay on the middle one before they were moved. Positions, composite and all
+        else lie as the middle plane does. None if no plane was moved.
     gain : (Z,) float64 ndarray
-        By how much each plane was brighter than their median, and was divided; 1 if not.
+        By how much each plane was brighter than their median. Planes were divided by it.
     two_peaks : (H, W) bool ndarray
-        Where two planes are sharp, with blurred ones between them; `peak` has chosen.
+        Where two planes are sharp, with blurred ones between them. There, `peak` chose one.
     notes : tuple of str
-        What was found of motion, brightness and peaks, and done about it: a sentence each.
+        What was found about motion, brightness and peaks, and what was done: a sentence each.
     """
 
     position: Float32
@@ -153,7 +155,7 @@ def sharpest_plane(
 ) -> SharpestPlane:
     r"""Find where each pixel of a stack is in focus, and put the sharpest pixels together.
 
-    It is depth from focus, and focus stacking. The planes are of one scene, at equal steps of the
+    This is depth from focus, and focus stacking. The planes show one scene, at equal steps of the
     focus: a place in focus at :math:`z_0` is blurred by a radius of :math:`k |z - z_0|` px in
     plane z. The power :math:`P_{zf}` that is seen at the frequency f in plane z is that of the
     scene, :math:`S_f`, times the blur spectrum (6), and that of the noise (7). The cost of a
@@ -162,58 +164,58 @@ def sharpest_plane(
     .. math:: \sum_{z, f} \left(q_{zf} - 1 - \log q_{zf}\right), \qquad q_{zf} =
         \frac{P_{zf}}{S_f \, \sigma_f^2(k |z - z_0|) + \sigma_{nf}^2}
 
-    with the best :math:`S_f`, the same in all planes. It gives k, and :math:`z_0` to a small part
-    of a plane, see `napari_defocus.stacks.depth_from_focus`. The positions are made coherent as a
-    blur map is, see `label_blur_map`, and follow the picture's edges where they jump; where there
-    is no texture, they are extrapolated from around.
+    with the best :math:`S_f`, which is the same in all planes. It gives k, and :math:`z_0` to a
+    small part of a plane, see `napari_defocus.stacks.depth_from_focus`. The positions are made
+    coherent as a blur map is, see `label_blur_map`, and jump at the picture's edges. Where there is
+    no texture, they come from around.
 
     Planes are read one at a time, four to six times each, and never all at once.
 
     Parameters
     ----------
     stack : (Z, H, W) or (Z, H, W, 3) or (Z, H, W, 4) array_like
-        Two planes or more, in order; numpy, dask, zarr, or anything
-        else with a shape, a dtype and planes by index. Any real dtype, see
-        `estimate_candidates`; all planes have the range of all. A fourth channel is opacity;
-        pixels that are NaN or masked are not known. Axes of length 1 do not count.
+        Two planes or more, in order. NumPy, dask, zarr, and anything else with a shape, a dtype
+        and planes by index, will do. Any real dtype, see `estimate_candidates`; all planes share
+        one range of intensities. A fourth channel is opacity. Pixels that are NaN or masked are
+        not known. Axes of length 1 do not count.
     axes : str, optional
-        What each axis is, such as "zyx", "yxzs" or "tczyx": y, x, s for colours, c for channels,
-        t for times, and another letter for the planes. Channels are never taken for planes,
-        times are if there is no other axis of planes.
+        A letter for each axis, such as "zyx", "yxzs" or "tczyx": y, x, s for colours, c for
+        channels, t for times, and another letter for the planes. Channels are never taken for
+        planes. Times are, if there is no other axis of planes.
     channel_axis : int, optional
-        Old: which axis holds the colours; `axes` says it.
+        The axis of the colours. Deprecated: use `axes`.
     channel, time : int, optional
         Which one along c and t to take, from 0; needed if there are several.
     px_per_plane : float, optional
         k, by how many px the radius grows from plane to plane. By default it is found.
     align : "auto", bool or StackAlignment, optional
-        Whether planes that have shifted, turned or been magnified (a lens that breathes) are laid
-        on the middle one first: "auto", if motion is surely there (four standard errors, and
-        0.35 px); always; or never. Or an alignment that was found before, of this stack or of
-        another channel. Motion is measured from plane to plane, up to some 10 px and some
-        percent a plane. Planes are interpolated once, by splines of order 5.
+        Whether planes that shift, turn or are magnified (by a lens that breathes) are laid on the
+        middle one first. "auto" does so if motion is surely there: more than four standard
+        errors and 0.35 px. True does so always, False never. Or it is an alignment that was found
+        before, for this stack or another channel. Motion is measured from plane to plane, up to
+        about 10 px and a few percent a plane. Planes are interpolated once, by splines of order 5.
     match_brightness : "auto" or bool, optional
         Whether planes that a lamp made brighter or darker (by a factor of 2 at most) are made as
-        bright as their median: "auto", if they surely differ by more than 0.5 %.
+        bright as their median. "auto" does so if they surely differ by more than 0.5 %.
     blend : bool, optional
         Whether the composite is blended of the planes about the position, which averages noise
-        and has no seams; or each pixel is that of the nearest plane.
+        and has no seams. Otherwise each pixel is that of the nearest plane.
     peak : {"strongest", "first", "last"}, optional
-        Which plane is meant where two are sharp, with blurred ones between them: something
-        transparent, or one thing before another. The first is that with the lowest number.
+        Which plane to take where two are sharp, with blurred ones between them, as in something
+        transparent. "first" is the one with the lowest number.
     psf : PSFFamily, optional
-        The family of PSFs; planes blurred by more than its largest scale count as blurred by
-        that much.
+        The family of PSFs. Planes blurred by more than its largest scale count as blurred by
+        exactly that.
     noise_variance : float, optional
         Variance of the noise in the luminance, intensities in [0, 1], the same in all planes.
-        By default the median of what is found in each.
+        By default it is the median of the planes' own.
     window : int, optional
         Side of the analysis window in px, odd, at least 17 and twice the largest scale.
     stride : int, optional
         Distance between analysed windows in px.
     smoothness : float, optional
-        lambda_0 of (16), for a difference of one label. That is a quarter of a plane, more if
-        the blur grows by less than 0.5 px a plane: 0.125 px then, up to a whole plane.
+        lambda_0 of (16), for a difference of one label. A label is a quarter of a plane. If the
+        blur grows by less than 0.5 px a plane, it is 0.125 px of blur, up to a whole plane.
     color_sigma : float, optional
         sigma_lambda of (16), as a share of the contrast.
     linearize : {"srgb"}, optional
@@ -230,20 +232,20 @@ def sharpest_plane(
     Raises
     ------
     TypeError
-        If `stack` holds no real numbers; if `channel` or `time` is no whole number; if `align`,
+        If `stack` holds no real numbers; if `channel` or `time` is not a whole number; if `align`,
         `match_brightness` or `blend` is of another type.
     ValueError
-        If `align` is an alignment of another number or size of planes; if `peak` is unknown; if
-        `stack` has other axes, channels or times of which none is chosen, less than two planes, a
-        side below 3 px, or a plane with infinite values; if `axes` and `channel_axis` do not fit
-        it, or both are given; if `px_per_plane` is not above 0; and as in `estimate_candidates`
-        and `label_blur_map`.
+        If `align` is an alignment of another number or size of planes, or `peak` is unknown. If
+        `stack` has other axes, several channels or times of which none is chosen, less than two
+        planes, a side below 3 px, or infinite values. If `axes` and `channel_axis` do not fit it,
+        or both are given. If `px_per_plane` is not above 0; and as in `estimate_candidates` and
+        `label_blur_map`.
 
     Notes
     -----
-    The radius need only grow evenly: px are those of the PSF family's scale. Brightness may
-    differ from plane to plane by a factor up to 2. Blur by up to 0.5 px cannot be told from
-    none, so that planes closer to each other than that are told apart by those farther away.
+    The radius has to grow evenly, in px of the PSF family's scale. The brightness may differ from
+    plane to plane by a factor of up to 2. Blur by up to 0.5 px looks like none. Planes closer to
+    each other than that are told apart by planes farther away.
 
     Examples
     --------

@@ -1,28 +1,28 @@
-r"""One picture from many planes: which share each plane has, at every pixel and size of detail.
+r"""One picture from many planes: the weight of each, at every pixel and for each size of detail.
 
-A plane that is blurred by r px shows details of a size by a share B(r) of their contrast, and all
-planes have noise of variance n. With details of variance S, weights w of sum 1 have the mean
-squared error
+A plane that is blurred by r px shows details of one size with a share B(r) of their contrast. All
+planes have noise of variance n. If the details have the variance S, and the weights w add up to 1,
+the mean squared error is
 
 .. math:: S \Bigl(\sum_z w_z d_z\Bigr)^2 + n \sum_z w_z^2, \qquad d_z = 1 - B(k |z - z_0|)
 
-which is least, among weights that are not negative, for
+Among weights that are not negative, it is least for
 
 .. math:: w_z \propto \max(0, 1 - \tau d_z), \qquad
     \tau = \frac{S}{n} \sum_z \max(0, 1 - \tau d_z) \, d_z
 
-Where there is much detail that is the plane in focus alone; where the position lies between two
-planes, or coarse details are blurred by neither, several; where no plane shows any, the mean of
-all, with less noise. S is the most that any plane shows at a place, so that the halo of something
-bright in a plane out of focus is detail, too, and is not averaged in.
+Where there is much detail, this is the plane in focus alone. It is several planes where the
+position lies between two, or where neither blurs coarse details. Where no plane shows any detail,
+it is the mean of all, with less noise. S is the most that any plane shows at a place. So the halo
+of something bright in a plane out of focus counts as detail, too, and is not averaged in.
 
-Real blur is not quite as the model has it. Of the planes near the position, the one that shows the
-most contrast counts as the least blurred, and the others as blurred at least as their contrast
-says.
+Real blur differs a little from the model. Among the planes near the position, the one that shows
+the most contrast counts as the least blurred. The others count as blurred at least as much as their
+contrast says.
 
-Details of a size are the levels of a Laplacian pyramid (Burt and Adelson, 1983); weights of a
-level are smooth there, so that planes go over into each other without a seam. Planes are read one
-at a time, and each adds to the sums of all levels.
+The sizes of detail are the levels of a Laplacian pyramid (Burt and Adelson, 1983). The weights of a
+level are smooth, so that no seam shows between planes. Planes are read one at a time, and each adds
+to the sums of all levels.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ Floating = NDArray[np.floating]
 _BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16
 
 _LEVELS, _SMALLEST = 5, 8
-"""Of a pyramid at most, and px of its smallest level's sides at least. Chosen by hand."""
+"""The most levels of a pyramid, and the least side of its smallest level, in px. Chosen by hand."""
 
 _AREA = 2.0
 """px of a level: standard deviation of the Gaussian over which S is averaged. Chosen by hand."""
@@ -58,13 +58,13 @@ _TRANSITION = 0.7
 """px of a level: standard deviation of the Gaussian that smooths weights. Chosen by hand."""
 
 _CHANCE = 1.5
-"""Of the noise's variance: what the most of several planes may show by chance. Chosen by hand."""
+"""What the most of several planes may show by chance, in units of the noise's variance. By hand."""
 
 _LEAST_NOISE = np.finfo(np.float32).tiny
-"""Variance, so that it can be divided by."""
+"""The least variance, so that it can be divided by."""
 
 _POSITIONS_A_PLANE, _RATIOS = 32, np.logspace(-2, 6, 33)
-"""Of the table of tau: positions from plane to plane, and S / n."""
+"""The table of tau: positions from plane to plane, and values of S / n."""
 
 _HALVINGS = 30
 """Steps of the bisection that finds tau."""
@@ -73,18 +73,19 @@ _SIDE = 64
 """px of the pattern by which B of a level is measured."""
 
 _RADII = 41
-"""At which B is measured, up to the family's largest scale."""
+"""Radii at which B is measured, up to the family's largest scale."""
 
 _TINY = 1e-12
 
 _NEAR = 1.5
-"""Planes from the position: there the planes' own contrast says which is sharper. By hand."""
+"""Within so many planes of the position, the planes' own contrast says which is sharper. By hand.
+"""
 
 _NOT_ALL = np.float32(1 - 1e-6)
-"""Share of the contrast that planes farther away have at most: they are not the sharpest."""
+"""The most contrast of planes farther away, as a share: they are not the sharpest."""
 
 _LEAST_WEIGHT = 1e-6
-"""Of a plane without any share: it fills in where no better one is known."""
+"""Weight of a plane without any share: it counts only where no better one is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +112,10 @@ class Shares:
 
     @cached_property
     def _tables(self) -> list[tuple[Float64, Float64, Float64]]:
-        """Of each level: how much larger d is than that of the best plane, for each position and
-        plane; and for each position and S / n, the best plane's weight, and by how much it falls.
+        """Three tables for each level.
+
+        For each position and plane: how much larger d is than that of the best plane. For each
+        position and S / n: the best plane's weight, and how much other weights fall with d.
         """
         positions = np.arange((self.planes - 1) * _POSITIONS_A_PLANE + 1) / _POSITIONS_A_PLANE
         radius = self.px_per_plane * np.abs(np.arange(self.planes) - positions[:, None])
@@ -130,8 +133,8 @@ class Shares:
     def at(self, level: int, number: int, position: Float32, shown: Float32) -> Float32:
         """Return the weights of a plane in a level, where the best focus is at these positions.
 
-        `shown` is the share of the contrast of details that the plane shows, against those near
-        the position: where planes are not blurred as the model says, it knows better.
+        `shown` is the contrast of details in this plane, as a share of that of the planes near
+        the position. It corrects the model where planes are blurred otherwise.
         """
         lost, best, slope = self._tables[level]
         noise = max(self.noise_variance, _LEAST_NOISE) * noise_of_levels(len(self.energy))[level]

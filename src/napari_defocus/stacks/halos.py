@@ -1,15 +1,15 @@
-"""Detail that is none: what the blur of something stronger beside a place shows there.
+"""False detail: light of something bright that blur spreads over its surroundings.
 
-Out of focus, the light of bright things spreads over their surroundings, and where it ends there
-are edges. Places with little detail of their own seem to be in focus in such a plane: islands
-beside highlights. The position and the growth of the radius tell which planes that can be: those
-in which the strongest detail within k |z - z0| px of a place reaches it. What they show there has
-to be more than a small part of that detail, or they have no say: the position is then told by the
-other planes, or by the surroundings, and the confidence knows.
+Out of focus, the light of bright things spreads over their surroundings, and has edges where it
+ends. Places with little detail of their own then seem to be in focus: islands beside highlights.
+Which planes these can be follows from the position and the growth of the radius: those in which the
+strongest detail within k |z - z0| px of a place reaches it. Such a plane counts only if it shows
+more than a small part of that detail. Otherwise the other planes decide, or the surroundings, and
+the confidence is lower.
 
-Only asked where a place says something else than the strongest detail around it. *Lost*: predicting
-the spread light itself, by blurring the sharpest pixels: real lenses leave rings, and pictures for
-a screen are no light, so that it was 10 times too weak on a circuit board.
+This is checked only where a place differs from the strongest detail around it. *Lost*: predicting
+the spread light itself, by blurring the sharpest pixels. Real lenses leave rings, and pictures for
+a screen are not proportional to light, so it was 10 times too weak on a circuit board.
 """
 
 from __future__ import annotations
@@ -25,15 +25,17 @@ Float64 = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 _REACHES = (6.0, 12.0, 18.0, 24.0, 32.0)
-"""px that light is followed. Chosen by hand."""
+"""px over which light is followed. Chosen by hand."""
 
 _ODD = 1.0
-"""Planes off the position of the strongest detail, from which on a place is asked. By hand."""
+"""A place is checked if it lies so many planes off the position of the strongest detail. By hand.
+"""
 
 _PART = 0.05
-"""Of the strongest detail's power, that its spread light may have. On a circuit board, none leaves
-islands on 4.4 % of the pixels, 0.02 on 0.5 %, 0.05 and 0.1 on none; across simulated steps in depth
-0.9 % of the pixels lose their position by 0.05, and no composite changes by 0.1 dB.
+"""The most power that spread light may have, as a share of the strongest detail's. On a circuit
+board, 0 leaves islands on 4.4 % of the pixels, 0.02 on 0.5 %, 0.05 and 0.1 on none. Across
+simulated steps in depth, 0.05 loses the position of 0.9 % of the pixels, and no composite changes
+by 0.1 dB.
 """
 
 

@@ -35,7 +35,7 @@ MEASURING = "Comparing neighbouring planes"
 """The step in which motion and brightness are measured."""
 
 _SURE = 4.0
-"""Standard errors from which on a motion or a gain is there. Chosen by hand."""
+"""A motion or a gain is there from so many standard errors on. Chosen by hand."""
 
 _LEAST_MOTION, _LEAST_GAIN = 0.35, 0.005
 """px at a corner, and factor beyond 1: less is not corrected by "auto". Chosen by hand: stacks that
@@ -43,10 +43,10 @@ do not move measure up to 0.3 px at their ends.
 """
 
 _MOST_UNCERTAINTY = 1.0
-"""px: alignments that are less sure are none. Chosen by hand."""
+"""px: less certain alignments do not count. Chosen by hand."""
 
 _SPLINE_REACH = 2
-"""px around what is not known, that splines spoil."""
+"""px around unknown pixels that splines spoil."""
 
 _DARKEST, _SMOOTH = 0.001, 2.0
 """Quantile of a plane that counts as dark, once a Gaussian of so many px has averaged its noise.
@@ -151,7 +151,7 @@ class MatchedPlanes:
 
 
 _ORDER_OF_OPACITY = 0
-"""Of the splines that move a fourth channel: each pixel keeps the opacity of one."""
+"""Order of the splines that move a fourth channel: 0, so that each pixel keeps one opacity."""
 
 
 def _as_given(
@@ -298,7 +298,7 @@ def _chosen_alignment(
     kept = _surely(measured)
     if kept.is_still:
         return None, (
-            f"No plane moves by more than is measured for still ones ({measured.largest_motion:.2f}"
+            f"No plane moves by more than still planes seem to ({measured.largest_motion:.2f}"
             " px); none was aligned.",
         )
     return kept, (f"Planes were aligned: {kept}.",)
@@ -323,11 +323,11 @@ def _chosen_exposure(
     """Return what is applied, whether planes are equally bright then, and what is said of it."""
     gain, error = exposure.gain, exposure.error
     if not np.isfinite(error).all():
-        told = "Planes show too little light in common to compare how bright they are."
+        told = "Planes show too little in common to compare how bright they are."
         return None, False, (told,)
     if gain.max() > LARGEST_DRIFT or gain.min() < 1 / LARGEST_DRIFT:
         told = f"Planes differ in brightness by factors from {gain.min():.2f} to {gain.max():.2f}"
-        return None, False, (f"{told}: that is no flicker, and was left.",)
+        return None, False, (f"{told}: that is more than flicker, and was left as it is.",)
     off = np.abs(gain - 1)
     most = f"{100 * off.max():.1f} %"
     surely = (off > _SURE * error) & (off > _LEAST_GAIN)

@@ -1,16 +1,16 @@
-"""How each plane of a stack lies on the one before, and how bright it is: measured.
+"""How each plane of a stack lies on the one before.
 
-Both planes show one scene, blurred differently. Blur by a PSF that is symmetric moves nothing, so
-that the cross-correlation of the same place in both has its peak where the place has gone. It is
-asked for in blocks: `skimage.registration.phase_cross_correlation`, to a fraction of a pixel. One
-similarity (shift, magnification, turn) is fitted to what the blocks say, by weights that leave out
-blocks that say something else; the second plane is laid on the first by it, and the blocks are
-asked again for what is left. How much blocks differ says how sure it is.
+Both planes show one scene, blurred differently. Blur by a symmetric PSF moves nothing. So the
+cross-correlation of one place in both planes has its peak where the place has moved to. It is
+computed in blocks, to a fraction of a pixel (`skimage.registration.phase_cross_correlation`). One
+similarity (shift, magnification, turn) is fitted to the blocks, with weights that leave out those
+that differ. The second plane is laid on the first, and the blocks measure what is left. How much
+the blocks differ says how sure the motion is.
 
-Plane to plane, because neighbours are blurred about alike. pystackreg, which compares whole
-planes, has no error to tell a motion from none by, and takes brightness for motion; an extra
-dependency for it was not worth it. Log-polar transforms are not needed: from plane to plane,
-magnifications of a few percent move the blocks by less than they are wide.
+Neighbouring planes are compared, because their blur is similar. pystackreg compares whole planes.
+It gives no error to tell a motion from none, and takes brightness for motion. Log-polar transforms
+are not needed: between neighbours, magnifications of a few percent move the blocks by less than
+their width.
 """
 
 from __future__ import annotations
@@ -35,32 +35,32 @@ _FINE, _COARSE = 1.0, 8.0
 """px: standard deviations of the Gaussians between which details are compared. Chosen by hand."""
 
 _LEAST_BLOCK, _MOST_BLOCK, _BLOCKS_A_SIDE = 32, 128, 8
-"""px, and how many blocks along a side at most. Chosen by hand."""
+"""The least and the largest side of a block in px, and the most blocks along a side. By hand."""
 
 _COARSE_SIDE = 512
-"""px: planes with longer sides are first compared at so many. Chosen by hand."""
+"""px: planes with longer sides are first compared at this size. Chosen by hand."""
 
 _FIRST, _FRACTIONS = (1,), (20, 20)
-"""To which part of a pixel blocks are asked, round after round, before and after it is known where
-planes lie about; the mean of many blocks is finer. Chosen by hand.
+"""Blocks are compared to this fraction of a pixel, in each round, before and after the rough motion
+is known. The mean of many blocks is finer. Chosen by hand.
 """
 
 _SPLINE = 3
-"""Order of the splines by which a plane is laid on another to be compared: details that finer ones
-keep are not. Chosen by hand.
+"""Order of the splines that move a plane for the comparison. Finer splines keep details that are
+not compared. Chosen by hand.
 """
 
 _KNOWN = 0.95
-"""Share of a block that has to be known. Chosen by hand."""
+"""The share of a block that must be known. Chosen by hand."""
 
 _FEWEST_BLOCKS = 4
-"""From which on a magnification and a turn are asked for. Chosen by hand."""
+"""From so many blocks on, a magnification and a turn are fitted, too. Chosen by hand."""
 
 _OUTLIER = 1.5
-"""Standard deviations from which on a block counts less. Chosen by hand."""
+"""A block counts less if it is off by more than so many standard deviations. Chosen by hand."""
 
 _LEAST_SCATTER = 0.01
-"""px: blocks that agree better are no surer. Chosen by hand."""
+"""px: the least scatter of the blocks. Chosen by hand."""
 
 _ROBUST_ROUNDS = 20
 
@@ -68,7 +68,7 @@ _NORMAL = 1.4826
 """Standard deviations of a normal distribution in its median absolute deviation."""
 
 _LEAST_FREEDOM = 0.25
-"""Blocks beyond those that a similarity needs, at least; so few say little. Chosen by hand."""
+"""The least number of blocks beyond those that a similarity needs: fewer say little. By hand."""
 
 
 _TINY = 1e-12

@@ -1,11 +1,10 @@
 """Candidates of stacks, and of pictures larger than memory: the same results, tile by tile.
 
-A plane that is one tile is worked on as a whole. Of a larger one, every tile is looked at twice.
-The coarse pass adds up the data terms of its windows into those of cells of 4 x 4 windows; the
-cells of the whole plane are labelled at once, which is what decides over long distances. Then each
-tile, with a halo of three windows, is labelled from there on, its rim held to the cells' labels,
-and tiles are blended over their margins. A task takes pixels and returns maps, so that memory is
-bounded by tiles.
+A plane that fits into one tile is worked on as a whole. In a larger one, every tile is read twice.
+The coarse pass adds up the data terms of cells of 4 x 4 windows. The cells of the whole plane are
+labelled at once, which decides over long distances. Then each tile, with a halo of three windows,
+is labelled finely. Its rim is held to the labels of the cells, and tiles are blended over their
+margins. A task takes pixels and returns maps, so memory is bounded by tiles.
 """
 
 from __future__ import annotations
@@ -48,11 +47,11 @@ from napari_defocus.tiled.tiles import Tile, Tiling
 
 @dataclass(frozen=True, eq=False)
 class LazyCandidates:
-    """The candidates of a stack, or of a picture larger than memory: not kept, but made again.
+    """The candidates of a stack, or of a picture larger than memory: computed when needed.
 
-    From `estimate_candidates`. `label_blur_map`, `segment_in_focus` and `confidence_map` take
-    them as they take those of one picture, and return dask arrays, which are computed when they
-    are asked for; or arrays, if an array of numpy came in.
+    They come from `estimate_candidates`. `label_blur_map`, `segment_in_focus` and
+    `confidence_map` take them as they take those of one picture. They return dask arrays, which are
+    computed when they are asked for, or NumPy arrays if the picture was one.
 
     Attributes
     ----------
@@ -113,7 +112,7 @@ class LazyCandidates:
         return self._of_windows("radii", CANDIDATES, search=self.estimation.search)
 
     def measure(self, wanted: Wanted, seeds: Any = None) -> dict[str, Any]:
-        """Return all that is asked for, by name: a dask array (..., H, W) each."""
+        """Return all results that are wanted, by name: a dask array (..., H, W) each."""
         return self.planes.each(
             lambda index: self._measured(index, wanted, None if seeds is None else seeds[index])
         )

@@ -11,13 +11,15 @@ from dask.callbacks import Callback
 from napari_defocus.core.progress import Progress
 
 _THREADS = min(4, os.cpu_count() or 1)
-"""Of dask's threads: each tile has all of ours, and takes its share of memory."""
+"""Threads of dask. Each tile uses all of our own threads and its share of the memory."""
 
 _STEP = "Measuring part by part"
 
 _TIMES = {"measured-": 1.0, "coarse-": 0.4, "noise-": 0.02, "intensities-": 0.01}
 _SHORT = 0.002
-"""How long tasks take: the share that is done is one of time, so that the rest can be told."""
+"""Seconds that all other tasks take. The share that is done is one of time, so that the rest can be
+predicted.
+"""
 
 
 def run_tasks(tasks: Any, progress: Progress, step: str = _STEP) -> Any:

@@ -14,13 +14,15 @@ from napari_defocus.tiled.tile_graph import TileGraph, after, pixels
 from napari_defocus.tiled.tile_tasks import Noise, Preparing, join_intensities, look_at_noise
 
 _WHOLE = 4_000_000
-"""px of a plane up to which the noise is measured everywhere."""
+"""px: the noise of smaller planes is measured everywhere."""
 
 _PIECES, _PIECE, _EVERY = 8, 512, 3
-"""Of a larger one, in so many pieces a side of so many px, at every third pixel."""
+"""The noise of a larger plane is measured in so many pieces along a side, of so many px, at every
+third pixel.
+"""
 
 _EVERY_INTENSITY = 25
-"""And there, the contrast is that of so few pixels."""
+"""There, every 25th pixel counts for the contrast."""
 
 
 def noise_of_plane(

@@ -16,7 +16,7 @@ MOST_PLANES = 5
 """Planes that are looked at, evenly spaced. Chosen by hand."""
 
 _PIECES = 15
-"""Of all these planes together, if they are large. Chosen by hand."""
+"""Pieces of all these planes together, if they are large. Chosen by hand."""
 
 
 def psf_of_planes(

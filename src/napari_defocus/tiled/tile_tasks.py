@@ -114,7 +114,7 @@ def _problem_of_tile(
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """What is asked for of a picture; all of it costs hardly more than the first.
+    """The results that are wanted of a picture; all cost hardly more than the first.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Wanted:
     def measure(
         self, problem: LabelingProblem, around: dict[str, CoarseLabels], seeds: NDArray[Any] | None
     ) -> Found:
-        """Return all that is asked for of a tile, everywhere that it sees."""
+        """Return all results that are wanted of a tile, everywhere that it sees."""
         found: Found = {}
         if self.map is not None:
             blur_map = labeled_blur_map(problem, self.map, around=around.get("blur_map"))
@@ -257,7 +257,7 @@ def measure_tile(
     how: Estimation,
     wanted: Wanted,
 ) -> Found:
-    """Return what is asked for of a tile, in its core and, of what is blended, in its margin."""
+    """Return the results of a tile: in its core, and in its margin where tiles are blended."""
     problem = _problem_of_tile(pixels, tile, noise, how)
     at = tile.cells(levels)
     around = {

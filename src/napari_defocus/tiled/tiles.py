@@ -25,15 +25,16 @@ Chosen by hand: wide enough that no border shows in maps (docs/decisions.md).
 """
 
 _COARSE_HALO, _FINE_HALO = 2.0, 3.0
-"""Halos, in sides of a window: data terms are exact from 2 on; from 3 on, labels differ from
-those of the whole picture by 0.004 to 0.018 px on average, with twice the work they would by half
-(docs/decisions.md)."""
+"""Halos, in sides of a window. Data terms are exact from 2 on. With 3, labels differ from those of
+the whole picture by 0.004 to 0.018 px on average; twice the work would halve that
+(docs/decisions.md).
+"""
 
 _MOST_CELLS = 600_000
 """Cells that are labelled at once: about 0.2 kB each in memory, chosen by hand."""
 
 _LEAST_LEVELS = 2
-"""Cells are of 4 x 4 windows or more: the third level of the multigrid labeling."""
+"""Cells have 4 x 4 windows or more: the third level of the multigrid labeling."""
 
 
 @dataclass(frozen=True)
