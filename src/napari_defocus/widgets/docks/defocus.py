@@ -175,7 +175,7 @@ class DefocusWidget(DefocusPanel):
         set_shortcut(self.seeds_button, "Alt+S")
         set_shortcut(self.tools.probe, "Alt+Y")
         set_shortcut(self.tools.relief, "Alt+D")
-        describe([*self, self.tools.row])
+        describe([self.tools.row])
         tab_in_reading_order(self.native)
 
     def _wire(self) -> None:
