@@ -1,15 +1,17 @@
-"""In-focus masks of a picture, a stack or a dask array."""
+"""In-focus masks of a picture, a stack or a dask array, and up to which blur things are in them."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.api.dispatch import is_lazy_candidates
-from napari_defocus.core.checks import check_threshold
+from napari_defocus.core.checks import Unknown, check_threshold_or_auto
 from napari_defocus.core.progress import Progress, silent
+from napari_defocus.labeling.focus_threshold import focus_threshold_of
+from napari_defocus.labeling.known import checked_within, known_places_of
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.labeling.seeds import checked_seeds
 from napari_defocus.labeling.segmentation import labeled_mask
@@ -19,16 +21,20 @@ from napari_defocus.settings import MaskSettings
 if TYPE_CHECKING:
     from napari_defocus.tiled.candidates import LazyCandidates
 
+Threshold = float | Literal["auto"]
+
 
 @overload
 def segment_in_focus(
     candidates: BlurCandidates,
     image: ArrayLike,
     *,
-    threshold: float = ...,
+    threshold: Threshold = ...,
     smoothness: float = ...,
     color_sigma: float = ...,
+    unknown: Unknown = ...,
     seeds: ArrayLike | None = ...,
+    within: ArrayLike | None = ...,
     intensity_range: tuple[float, float] | None = ...,
     progress: Progress = ...,
 ) -> NDArray[np.uint8]: ...
@@ -39,10 +45,12 @@ def segment_in_focus(
     candidates: LazyCandidates,
     image: Any,
     *,
-    threshold: float = ...,
+    threshold: Threshold = ...,
     smoothness: float = ...,
     color_sigma: float = ...,
+    unknown: Unknown = ...,
     seeds: Any = ...,
+    within: Any = ...,
     progress: Progress = ...,
 ) -> Any: ...
 
@@ -51,10 +59,12 @@ def segment_in_focus(
     candidates: BlurCandidates | LazyCandidates,
     image: ArrayLike,
     *,
-    threshold: float = MaskSettings.threshold,
+    threshold: Threshold = MaskSettings.threshold,
     smoothness: float = MaskSettings.smoothness,
     color_sigma: float = MaskSettings.color_sigma,
+    unknown: Unknown = MaskSettings.unknown,
     seeds: ArrayLike | None = None,
+    within: ArrayLike | None = None,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.uint8]:
@@ -70,14 +80,21 @@ def segment_in_focus(
         From `estimate_candidates` on the same picture. Other settings here need no new ones.
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its colours.
-    threshold : float, optional
-        tau of (18), the largest blur scale in px that counts as in focus.
+    threshold : float or "auto", optional
+        tau of (18), the largest blur scale in px that counts as in focus. "auto" finds it from
+        the picture, once for all planes of a stack: it is `focus_threshold`.
     smoothness : float, optional
         lambda_0 of (16) for a boundary between two pixels. Larger masks have fewer parts.
     color_sigma : float, optional
         sigma_lambda of (16), as a share of the picture's contrast.
+    unknown : {"fill", "leave"}, optional
+        What becomes of places that say nothing themselves: those without texture, and where the
+        likeliest radius has a confidence below 0.5. They are filled from around, or left as 2.
     seeds : (H, W) integer array_like, optional
         What is known: 1 in focus, 2 blurred, 0 not known. The mask is never otherwise there.
+    within : (H, W) bool or integer array_like, optional
+        What is judged, where it is not 0: a mask or labels, such as of tissue or cells. What lies
+        outside has no say in the threshold. In the mask it is 0, or 2 if `unknown` is "leave".
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1; those of `candidates` if left out.
     progress : callable, optional
@@ -86,17 +103,24 @@ def segment_in_focus(
     Returns
     -------
     (H, W) uint8 ndarray
-        1 in focus, 0 blurred. Of a stack (..., H, W), and a dask array if one came in.
+        1 in focus, 0 blurred, and 2 not known, if that is left. Of a stack (..., H, W), and a dask
+        array if one came in.
 
     Raises
     ------
     TypeError
-        If `image` has no real dtype, or `seeds` no integers.
+        If `image` has no real dtype, `seeds` no integers, or `within` neither these nor bool.
     ValueError
         If `image` is no picture (see `estimate_candidates`) or another one than that of
         `candidates`, if `threshold` is not within the scales of `candidates`, `smoothness`
-        negative or `color_sigma` not positive, or if `seeds` has another shape than the
-        picture or other values.
+        negative, `color_sigma` not positive or `unknown` another word, or if `seeds` or `within`
+        has another shape than the picture, or `seeds` other values.
+
+    See Also
+    --------
+    focus_threshold : The threshold that "auto" takes.
+    known_places : What `unknown` is about.
+    matte_in_focus : A soft mask, for hair and fur.
 
     Examples
     --------
@@ -107,18 +131,125 @@ def segment_in_focus(
     >>> int(segment_in_focus(estimate_candidates(picture), picture).max())
     0
     """
+    asked = threshold, smoothness, color_sigma, unknown
     if is_lazy_candidates(candidates):
-        settings = _checked(threshold, smoothness, color_sigma, candidates.scales)
-        return candidates.results(image, progress, seeds=seeds, mask=settings)["mask"]
-    settings = _checked(threshold, smoothness, color_sigma, candidates.scales)
+        settings = _checked(*asked, candidates.scales)
+        given = {"seeds": seeds, "within": within}
+        return candidates.results(image, progress, **given, mask=settings)["mask"]
+    settings = _checked(*asked, candidates.scales)
     if seeds is not None:
         checked_seeds(seeds, candidates.image_shape)
+    where = None if within is None else checked_within(within, candidates.image_shape)
     problem = LabelingProblem.of(candidates, image, intensity_range)
-    return labeled_mask(problem, settings, seeds=seeds, progress=progress)
+    return labeled_mask(problem, settings, seeds=seeds, within=where, progress=progress)
 
 
 def _checked(
-    threshold: float, smoothness: float, color_sigma: float, scales: NDArray[np.floating]
+    threshold: Threshold,
+    smoothness: float,
+    color_sigma: float,
+    unknown: Unknown,
+    scales: NDArray[np.floating],
 ) -> MaskSettings:
-    check_threshold(threshold, float(scales[-1]))
-    return MaskSettings(threshold=threshold, smoothness=smoothness, color_sigma=color_sigma)
+    check_threshold_or_auto(threshold, float(scales[-1]))
+    return MaskSettings(
+        threshold=threshold, smoothness=smoothness, color_sigma=color_sigma, unknown=unknown
+    )
+
+
+def focus_threshold(
+    candidates: BlurCandidates | LazyCandidates,
+    image: ArrayLike,
+    *,
+    within: ArrayLike | None = None,
+    intensity_range: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> float:
+    """Return up to which blur a picture counts as in focus, found from its own blur.
+
+    What is sharp in a picture depends on its lens, its size and its sharpening. So the sharpest
+    tenth of the places counts, as far as they are sure, with what is blurred by 1 px more; from
+    there the threshold moves to a blur that few places have.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates or LazyCandidates
+        From `estimate_candidates` on the same picture. Of a stack, up to eight planes are looked
+        at, and of these there is one threshold.
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        The picture, for its details. A dask array is read now.
+    within : (H, W) bool or integer array_like, optional
+        What counts, where it is not 0.
+    intensity_range : (float, float), optional
+        See `segment_in_focus`.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    float
+        In px, from 1 to 3.5: what is blurred everywhere by more is nowhere in focus. It is 2, as
+        in the paper, for pictures that say nothing of their blur, and in the mode "paper".
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `segment_in_focus`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_candidates, focus_threshold, simulate_defocus
+    >>> radii = np.where(np.arange(200) < 100, 0.5, 6.0) * np.ones((200, 1))
+    >>> picture = simulate_defocus(camera()[100:300, 150:350], radii)
+    >>> 1 <= focus_threshold(estimate_candidates(picture), picture) <= 3.5
+    True
+    """
+    if is_lazy_candidates(candidates):
+        return candidates.threshold_now(image, within, progress)
+    where = None if within is None else checked_within(within, candidates.image_shape)
+    return focus_threshold_of(LabelingProblem.of(candidates, image, intensity_range), where)
+
+
+def known_places(
+    candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    intensity_range: tuple[float, float] | None = None,
+) -> NDArray[np.bool_]:
+    """Return where a picture itself says whether it is in focus.
+
+    That is where the likeliest radius has a confidence of 0.5 or more. Plain walls, sky, the empty
+    background of fluorescence and smooth shading are not known: a mask there is filled from around.
+
+    Parameters
+    ----------
+    candidates : BlurCandidates
+        From `estimate_candidates` on the same picture.
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        The picture, for its details.
+    intensity_range : (float, float), optional
+        See `segment_in_focus`, which leaves the rest if `unknown` is "leave".
+
+    Returns
+    -------
+    (H, W) bool ndarray
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `segment_in_focus`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skimage.data import camera
+    >>> from napari_defocus import estimate_candidates, known_places
+    >>> picture = camera()[100:200, 100:300] / 255.0
+    >>> picture[:, 100:] = 0.5  # a wall
+    >>> known = known_places(estimate_candidates(picture), picture)
+    >>> bool(known[:, :60].mean() > 0.9), bool(known[:, 140:].any())
+    (True, False)
+    """
+    return known_places_of(LabelingProblem.of(candidates, image, intensity_range))

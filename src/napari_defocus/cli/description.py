@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from napari_defocus.pipeline import Measurement
-from napari_defocus.settings import CONFIDENT, MapSettings
+from napari_defocus.psf import AUTO
+from napari_defocus.settings import CONFIDENT, UNKNOWN, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -72,9 +73,19 @@ def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]
     return facts
 
 
-def mask_facts(mask: NDArray[Any]) -> dict[str, Any]:
-    """Return what is told about a mask."""
-    return {"in_focus_percent": 100.0 * float((mask != 0).mean())}
+def threshold_facts(asked: MaskSettings, used: MaskSettings) -> dict[str, Any]:
+    """Return up to which blur something counts as in focus, and whether the picture said it."""
+    return {"threshold_px": used.threshold, "threshold_found": asked.threshold == AUTO}
+
+
+def mask_facts(judged: NDArray[Any]) -> dict[str, Any]:
+    """Return what is told about a mask in which is left what is not known."""
+    known = judged != UNKNOWN
+    share = float((judged == 1).sum() / known.sum()) if known.any() else None
+    return {
+        "in_focus_percent": None if share is None else 100.0 * share,
+        "known_percent": 100.0 * float(known.mean()),
+    }
 
 
 def picture_lines(facts: Mapping[str, Any]) -> Iterator[str]:
@@ -93,6 +104,18 @@ def intensity_lines(facts: Mapping[str, Any]) -> Iterator[str]:
 def _choice_text(choice: Mapping[str, Any]) -> str:
     return (
         f"{choice['psf']} ({'found from' if choice['found'] else 'cannot be told by'} the picture)"
+    )
+
+
+def _mask_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    found = ", found from the picture" if facts["threshold_found"] else ""
+    share, known = facts["in_focus_percent"], facts["known_percent"]
+    if share is None:
+        yield f"in focus     not known anywhere, up to {facts['threshold_px']:.4g} px"
+        return
+    yield (
+        f"in focus     {share:.1f} % of what is known ({known:.1f} % of the picture), "
+        f"up to {facts['threshold_px']:.4g} px{found}"
     )
 
 
@@ -132,4 +155,4 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
     if facts.get("left_out_percent"):
         yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
     if "in_focus_percent" in facts:
-        yield f"in focus     {facts['in_focus_percent']:.1f} % of the picture"
+        yield from _mask_lines(facts)

@@ -105,7 +105,7 @@ def test_mask_that_is_not_wanted_any_more_is_not_shown(
 
 def test_slider_that_comes_back_leaves_what_is_shown(viewer, measured, settled, method):
     measured.settings.threshold.value = 3.0
-    measured.settings.threshold.value = 2.0
+    measured.settings.threshold_fields.found.value = True
     settled(measured)
     assert viewer.layers["leaf in focus"].data.max() == 0
     assert len(method.segmentations) == 1

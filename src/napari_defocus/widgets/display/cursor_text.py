@@ -13,7 +13,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
 from napari_defocus.psf import BLUR_RADIUS
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT, UNKNOWN
 from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.picker import value_at
 from napari_defocus.widgets.layers.result_metadata import (
@@ -31,6 +31,9 @@ from napari_defocus.widgets.layers.result_metadata import (
 
 _DESCRIBED = (BLUR_MAP, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
 """Results whose own value, as napari tells it, says nothing more."""
+
+_NOTHING_SEEN = 0.15
+"""Confidence below which there is no texture, see `confidence_map`."""
 
 _BEFORE_VALUES = " » "
 """What napari puts between coordinates and values if several layers are selected."""
@@ -67,7 +70,8 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     str
         Such as "3.2 px, confidence 0.94, in focus". It is empty if nothing is known there, or
         the viewer shows a volume. A confidence below that of the cover, or below `CONFIDENT`
-        if nothing is covered, is "not trusted".
+        if nothing is covered, is "not trusted", with the reason; the mask there was filled from
+        around.
 
     Examples
     --------
@@ -94,11 +98,25 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
         # Rounded up, it might read like one that is trusted.
-        shown = f"{sure:.2f}" if trusted else f"{math.floor(100 * sure) / 100:.2f} (not trusted)"
-        words.append(f"confidence {shown}")
-    if mask is not None:
-        words.append("in focus" if mask else "blurred")
+        untrusted = f"{math.floor(100 * sure) / 100:.2f} (not trusted: {_reason(sure)})"
+        words.append(f"confidence {f'{sure:.2f}' if trusted else untrusted}")
+        if mask is not None:
+            words.append(_focus(mask, known=trusted))
+    elif mask is not None:
+        words.append(_focus(mask, known=True))
     return ", ".join(words)
+
+
+def _reason(sure: float) -> str:
+    """Return why a radius is not trusted, in a few words."""
+    return "no details here" if sure < _NOTHING_SEEN else "details fit several radii"
+
+
+def _focus(mask: float, *, known: bool) -> str:
+    """Return what a mask says; where the place says nothing itself, it was filled from around."""
+    if mask == UNKNOWN:
+        return "in focus or not is not known"
+    return ("in focus" if mask else "blurred") + ("" if known else " like what lies around")
 
 
 def _asked(viewer: ViewerModel) -> Layer | None:

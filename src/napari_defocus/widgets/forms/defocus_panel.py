@@ -43,6 +43,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     METADATA_KEY,
     NOT_TRUSTED,
+    THRESHOLD_FOUND,
     Results,
     confidence_description,
     layer_of_result,
@@ -136,6 +137,8 @@ class DefocusPanel(ImagePanel):
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
         for field in self.settings.weights():
             field.number.changed.connect(lambda _: self.update_labels(ask=True))
+        for box in (self.settings.threshold_fields.found, self.settings.leave_unknown):
+            box.changed.connect(lambda _: self.update_labels(ask=True))
         self.live.changed.connect(lambda _: self.update_labels())
         # napari may tell of a stroke before it is on the layer.
         self._seeds_watch = SeedsWatch(lambda: QTimer.singleShot(0, lambda: self._on_stroke()))
@@ -322,6 +325,7 @@ class DefocusPanel(ImagePanel):
         if not self._still_current():
             return
         yield from self._showing_below_brush(results.layers, keep_earlier)
+        self._show_threshold(results.layers)
         self._on_min_confidence(self.settings.min_confidence.value)
         self._choose_first(results.layers)
         self._last_word = self.status.value = results.summary
@@ -402,11 +406,19 @@ class DefocusPanel(ImagePanel):
         """Show results step by step; a preview of them has no confidence and is no last word."""
         yield from self._showing_below_brush(results, keep_earlier)
         self._shown.note(analysed, analysis, whole=whole)
+        self._show_threshold(results)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
             self._last_word = _summary(results, self._confidence(results))
             self.status.value = self._last_word
             self._on_shown()
+
+    def _show_threshold(self, results: list[LayerDataTuple]) -> None:
+        """Let the slider show the threshold that was found from the picture, if it was."""
+        for _, keywords, _ in results:
+            made = keywords["metadata"][METADATA_KEY]
+            if made.get(THRESHOLD_FOUND) and self.settings.threshold_fields.found.value:
+                self.settings.threshold_fields.show_found(made["settings"]["threshold"])
 
     def _confidence(self, results: list[LayerDataTuple]) -> NDArray[np.floating] | None:
         """Return the confidence that is shown of what results are of, if it is."""
