@@ -20,6 +20,9 @@ from .api.masks import (
     known_places as known_places,
 )
 from .api.masks import (
+    matte_in_focus as matte_in_focus,
+)
+from .api.masks import (
     segment_in_focus as segment_in_focus,
 )
 from .api.restoration import (

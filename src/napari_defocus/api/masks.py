@@ -8,10 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.api.dispatch import is_lazy_candidates
-from napari_defocus.core.checks import Unknown, check_threshold_or_auto
+from napari_defocus.core.checks import (
+    Unknown,
+    check_flag,
+    check_threshold_or_auto,
+    check_whole,
+)
+from napari_defocus.core.extras import need_matting_extra
+from napari_defocus.core.image import given_array, prepare_image
 from napari_defocus.core.progress import Progress, silent
+from napari_defocus.core.progress import within as within_progress
 from napari_defocus.labeling.focus_threshold import focus_threshold_of
 from napari_defocus.labeling.known import checked_within, known_places_of
+from napari_defocus.labeling.matting import opacity
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.labeling.seeds import checked_seeds
 from napari_defocus.labeling.segmentation import labeled_mask
@@ -35,9 +44,27 @@ def segment_in_focus(
     unknown: Unknown = ...,
     seeds: ArrayLike | None = ...,
     within: ArrayLike | None = ...,
+    alpha: Literal[False] = ...,
     intensity_range: tuple[float, float] | None = ...,
     progress: Progress = ...,
 ) -> NDArray[np.uint8]: ...
+
+
+@overload
+def segment_in_focus(
+    candidates: BlurCandidates,
+    image: ArrayLike,
+    *,
+    threshold: Threshold = ...,
+    smoothness: float = ...,
+    color_sigma: float = ...,
+    unknown: Unknown = ...,
+    seeds: ArrayLike | None = ...,
+    within: ArrayLike | None = ...,
+    alpha: Literal[True],
+    intensity_range: tuple[float, float] | None = ...,
+    progress: Progress = ...,
+) -> NDArray[np.float32]: ...
 
 
 @overload
@@ -65,9 +92,10 @@ def segment_in_focus(
     unknown: Unknown = MaskSettings.unknown,
     seeds: ArrayLike | None = None,
     within: ArrayLike | None = None,
+    alpha: bool = False,
     intensity_range: tuple[float, float] | None = None,
     progress: Progress = silent,
-) -> NDArray[np.uint8]:
+) -> NDArray[np.uint8] | NDArray[np.float32]:
     """Separate what is in focus from what is blurred.
 
     Minimises (17): being in focus costs what the best scale up to `threshold` costs, being
@@ -95,6 +123,9 @@ def segment_in_focus(
     within : (H, W) bool or integer array_like, optional
         What is judged, where it is not 0: a mask or labels, such as of tissue or cells. What lies
         outside has no say in the threshold. In the mask it is 0, or 2 if `unknown` is "leave".
+    alpha : bool, optional
+        Return the opacity of what is in focus instead, see `matte_in_focus`; of one picture in
+        memory.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1; those of `candidates` if left out.
     progress : callable, optional
@@ -104,10 +135,12 @@ def segment_in_focus(
     -------
     (H, W) uint8 ndarray
         1 in focus, 0 blurred, and 2 not known, if that is left. Of a stack (..., H, W), and a dask
-        array if one came in.
+        array if one came in. With `alpha` float32, from 0 to 1.
 
     Raises
     ------
+    ImportError
+        If `alpha` is asked for, and PyMatting is not installed.
     TypeError
         If `image` has no real dtype, `seeds` no integers, or `within` neither these nor bool.
     ValueError
@@ -132,7 +165,10 @@ def segment_in_focus(
     0
     """
     asked = threshold, smoothness, color_sigma, unknown
+    check_flag("alpha", alpha)
     if is_lazy_candidates(candidates):
+        if alpha:
+            raise ValueError("alpha is True; it takes one picture in memory, plane by plane")
         settings = _checked(*asked, candidates.scales)
         given = {"seeds": seeds, "within": within}
         return candidates.results(image, progress, **given, mask=settings)["mask"]
@@ -140,8 +176,74 @@ def segment_in_focus(
     if seeds is not None:
         checked_seeds(seeds, candidates.image_shape)
     where = None if within is None else checked_within(within, candidates.image_shape)
+    if alpha:
+        need_matting_extra()
     problem = LabelingProblem.of(candidates, image, intensity_range)
-    return labeled_mask(problem, settings, seeds=seeds, within=where, progress=progress)
+    report = within_progress(progress, 0.0, 0.3 if alpha else 1.0)
+    mask = labeled_mask(problem, settings, seeds=seeds, within=where, progress=report)
+    if not alpha:
+        return mask
+    return opacity(problem.picture.color, mask, progress=within_progress(progress, 0.3, 1.0))
+
+
+def matte_in_focus(
+    image: ArrayLike,
+    mask: ArrayLike,
+    *,
+    width: int | None = None,
+    intensity_range: tuple[float, float] | None = None,
+    progress: Progress = silent,
+) -> NDArray[np.float32]:
+    """Return a soft mask: how much of each pixel is in focus, for hair, fur and seeds.
+
+    Pixels up to `width` from the border of a mask may be mixtures. What lies farther inside or
+    outside tells how much of each they have, by closed-form matting [1]_. Only tiles along the
+    border are solved: about 0.4 s a tile of 192 px.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) or (H, W, 4) array_like
+        The picture.
+    mask : (H, W) bool or integer array_like
+        From `segment_in_focus`: 1 in focus, 0 blurred, 2 not known.
+    width : int, optional
+        In px; 2.5 % of the shorter side, from 4 to 40 px, if left out. Wider for longer hair.
+    intensity_range : (float, float), optional
+        The intensities that count as 0 and 1.
+    progress : callable, optional
+        Called as ``progress(step, done)``; an exception from it ends the work.
+
+    Returns
+    -------
+    (H, W) float32 ndarray
+        Opacity, from 0 to 1.
+
+    Raises
+    ------
+    ImportError
+        If PyMatting is not installed: ``pip install 'napari-defocus[matting]'``. When it is first
+        imported, it compiles itself, which takes a minute.
+    TypeError, ValueError
+        If `image` is no picture, or `mask` or `width` is not as above.
+
+    References
+    ----------
+    .. [1] A. Levin, D. Lischinski, Y. Weiss, "A Closed-Form Solution to Natural Image Matting",
+       IEEE Transactions on Pattern Analysis and Machine Intelligence 30(2), 2008.
+    """
+    need_matting_extra()
+    picture = prepare_image(image, intensity_range)
+    marks = given_array("mask", mask)
+    if marks.dtype.kind not in "bui":
+        raise TypeError(f"mask has dtype {marks.dtype}; it takes bool or integers")
+    if marks.shape != picture.shape:
+        raise ValueError(
+            f"mask has shape {marks.shape}; it takes the picture's height and width, "
+            f"{picture.shape}"
+        )
+    if width is not None:
+        check_whole("width", width)
+    return opacity(picture.color, marks.astype(np.uint8), width, progress)
 
 
 def _checked(

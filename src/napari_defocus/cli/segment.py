@@ -13,6 +13,7 @@ from napari_defocus.cli.description import lines_of, mask_facts, picture_facts, 
 from napari_defocus.cli.option_groups import EvidenceOptions, said_threshold
 from napari_defocus.cli.results import Files, beside, check_endings, encoded_masks
 from napari_defocus.core.checks import Unknown, check_threshold_or_auto
+from napari_defocus.core.extras import need_matting_extra
 from napari_defocus.core.progress import Progress
 from napari_defocus.core.progress import within as share_of
 from napari_defocus.pipeline import label_map, measure_candidates, shares
@@ -52,6 +53,9 @@ def _lines(facts: Facts) -> Iterator[str]:
     overlay PATH
         Where to write the picture with the rest dimmed (.png). [default: NAME-overlay.png beside
         IMAGE, and the mask too]
+    alpha PATH
+        Where to write IMAGE with what is blurred transparent (.png): hair and fur have soft edges.
+        It needs pymatting.
     regions PATH
         Where to write a table of the regions in focus (.csv): area, place, and how wide their blur
         is and how sure. The map is measured for it, too.
@@ -69,15 +73,20 @@ def segment_picture(
     seeds: Path | None = None,
     output: Path | None = None,
     overlay: Path | None = None,
+    alpha: Path | None = None,
     regions: Path | None = None,
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
     """Find what is in focus in IMAGE."""
-    if output is None and overlay is None:
+    if output is None and overlay is None and alpha is None:
         output, overlay = beside(image, "-mask.png", "-overlay.png")
-    masks, overlays, tables = ([path] if path else [] for path in (output, overlay, regions))
-    outputs = [*masks, *overlays, *tables]
+    if alpha is not None:
+        need_matting_extra()
+    masks, overlays, alphas, tables = (
+        [path] if path else [] for path in (output, overlay, alpha, regions)
+    )
+    outputs = [*masks, *overlays, *alphas, *tables]
     settings, intensity_range = measuring.settings(), measuring.intensity_range
     mask_settings = MaskSettings(
         threshold=said_threshold(threshold),
@@ -86,7 +95,7 @@ def segment_picture(
         unknown=unknown,
     )
     check_threshold_or_auto(mask_settings.threshold, settings.family().max_scale)
-    check_endings([*masks, *overlays], ".png")
+    check_endings([*masks, *overlays, *alphas], ".png")
     check_endings(tables, ".csv")
     picture = files.read(image, outputs, seeds, within)
     known = None if seeds is None else _seeds(seeds, picture)
@@ -101,6 +110,10 @@ def segment_picture(
     mask = pipeline.segment(candidates, picture, used, limits, **given, progress=report)
     judged = pipeline.judged_mask(candidates, picture, used, limits, mask=mask, **given)
     contents = encoded_masks(masks, overlays, picture, mask, limits)
+    if alpha is not None:
+        from napari_defocus.io.encoders import alpha_png
+
+        contents[alpha] = alpha_png(picture, napari_defocus.matte_in_focus(picture, mask), limits)
     facts = picture_facts(image, outputs, candidates, settings)
     facts |= threshold_facts(mask_settings, used) | mask_facts(judged)
     facts["within"] = within and str(within)

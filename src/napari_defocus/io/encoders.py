@@ -349,6 +349,16 @@ def overlay_png(
     return _png(np.rint(255.0 * shown).astype(np.uint8), "drawing: what is in focus")
 
 
+def alpha_png(
+    image: ArrayLike, alpha: ArrayLike, intensity_range: tuple[float, float] | None = None
+) -> bytes:
+    """Encode a picture with an opacity, (H, W) from 0 to 1, as an 8-bit RGBA PNG file."""
+    color = shown_colors(prepare_image(image, intensity_range))
+    opacity = np.asarray(alpha, np.float32)[..., None]
+    shown = np.concatenate([np.broadcast_to(color, (*color.shape[:2], 3)), opacity], axis=2)
+    return _png(np.rint(255.0 * shown).astype(np.uint8), "picture: what is in focus")
+
+
 def _outline(focused: NDArray[np.bool_]) -> NDArray[np.bool_]:
     from scipy.ndimage import binary_erosion
 

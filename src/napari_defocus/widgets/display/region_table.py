@@ -114,7 +114,7 @@ def wanted_regions(viewer: ViewerModel, image: Image) -> WantedRegions | None:
     except NotAnalysableError as reason:
         show_warning(f"Cannot measure the regions of “{image.name}”: {reason}")
         return None
-    mask_layer, mask = _shown(viewer, plane, IN_FOCUS)
+    mask_layer, mask = shown_result(viewer, plane, IN_FOCUS)
     if mask_layer is None or mask is None:
         show_warning(NO_MASK.format(name=plane.name))
         return None
@@ -123,7 +123,7 @@ def wanted_regions(viewer: ViewerModel, image: Image) -> WantedRegions | None:
     except NotAnalysableError as reason:
         show_warning(f"Cannot measure the regions of “{image.name}”: {reason}")
         return None
-    maps = {name: _shown(viewer, plane, name)[1] for name in (BLUR_MAP, CONFIDENCE)}
+    maps = {name: shown_result(viewer, plane, name)[1] for name in (BLUR_MAP, CONFIDENCE)}
     return WantedRegions(plane, mask_layer, mask, maps)
 
 
@@ -143,7 +143,7 @@ def regions_layer(
     )
 
 
-def _shown(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None, Any]:
+def shown_result(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None, Any]:
     """Return the layer of a result of an image, and its values on the plane; None if missing."""
     layer = layer_of_result(viewer.layers, result, plane.name)
     if layer is None:
