@@ -270,8 +270,8 @@ def focus_threshold(
     """Return up to which blur a picture counts as in focus, found from its own blur.
 
     What is sharp in a picture depends on its lens, its size and its sharpening. So the sharpest
-    tenth of the places counts, as far as they are sure, with what is blurred by 1 px more; from
-    there the threshold moves to a blur that few places have.
+    15 % of its places are in focus, as far as they are sure, and what is blurred by 1.2 px more;
+    from there the threshold moves to a blur that few places have.
 
     Parameters
     ----------

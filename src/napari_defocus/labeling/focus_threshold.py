@@ -1,13 +1,14 @@
 """Up to which blur a picture counts as in focus: found from how its blur is distributed.
 
 What is sharp in a picture depends on its lens, its size and its sharpening, so that no number of px
-fits all of them. Two things tell it. The sharpest tenth of the places that are sure lies in focus,
-and what is blurred by 1 px more still does. And few places have the blur between what is in focus
-and what is not: there is a valley in the distribution. So tau of (18) is where
+fits all of them. Two things tell it. The sharpest 15 % of the places that are sure lie in focus,
+and what is blurred by 1.2 px more still does. And few places have the blur between what is in
+focus and what is not: there is a valley in the distribution. So tau of (18) is where
 
     d(u) + 2 (u - u0)^2,    u = log(tau + 1 px)
 
-is least: d is the density of u over the sure places, and u0 is that of the sharpest tenth and 1 px.
+is least: d is the density of u over the sure places, and u0 is that of 1.2 px above the sharpest
+15 %.
 It lies within 1 and 3.5 px, so that what is blurred everywhere is never called in focus; and above
 the sharpest places, if these are hardly blurred.
 """
@@ -33,11 +34,10 @@ from napari_defocus.settings import CONFIDENT, USUAL_THRESHOLD, MaskSettings
 Float64 = NDArray[np.floating]
 Counts = NDArray[np.int64]
 
-_SHARPEST, _ABOVE, _PULL, _WIDTH = 0.1, 1.0, 2.0, 0.15
+_SHARPEST, _ABOVE, _PULL, _WIDTH = 0.15, 1.2, 2.0, 0.15
 """The share of the places that is in focus for sure, what may be added to its blur in px, the
-factor of the square above, and the standard deviation of the Gaussian that makes d smooth. By hand,
-on photographs and on scenes of all kinds; half or twice as much is nearly as good
-(docs/decisions.md)."""
+factor of the square above, and the standard deviation of the Gaussian that makes d smooth. Chosen
+on photographs and on scenes of all kinds; a half more or less is nearly as good (decisions.md)."""
 
 _LEAST, _MOST, _MOST_USUAL = 1.0, 3.5, 3.0
 """px: the range of tau, and the largest tau of u0. Up to 1 px, radii are hardly told apart."""
