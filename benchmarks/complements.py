@@ -58,7 +58,7 @@ def measure_complements(
 def scenes(
     sources: dict[str, np.ndarray], radius: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return each scene focused on the subject and on what lies behind, and where the subject is."""
+    """Return scenes focused on the subject and on what lies behind, and where the subject is."""
     pictures = [of_one_size(source) for source in sources.values()]
     for number, subject in enumerate(pictures):
         rng = np.random.default_rng([number, round(radius)])

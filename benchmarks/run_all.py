@@ -3,8 +3,8 @@
     python benchmarks/run_all.py [--quick] [--data FOLDER] [--compare OLD.json] [--out FOLDER]
 
 Accuracy on pictures of known blur, on outlined photographs, on pairs of pictures whose masks
-complement each other, and on real pictures with a known answer, the calibration of the confidence, the energy of labels, restoration, time and memory, and
-what each step beyond the paper gains.
+complement each other, and on real pictures with a known answer, the calibration of the confidence,
+the energy of labels, restoration, time and memory, and what each step beyond the paper gains.
 Prints one Markdown table. With --out, writes peers.md, ablation.md, their plots and numbers.json
 there: `--out docs/measured` brings the documentation up to date. With --compare, tells what became
 better or worse than in an earlier numbers.json, beyond the spread. All of it takes about 25 minutes

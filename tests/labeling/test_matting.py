@@ -44,6 +44,15 @@ def test_opacity_is_solved_beside_the_border_only(disc, solver):
     assert all(known.size <= 288**2 for known in solver)
 
 
+def test_what_is_not_known_beside_what_is_in_focus_is_found_out(disc, solver):
+    mask, opacity, picture = disc
+    unknown = mask.copy()
+    unknown[140:160, 150:200], unknown[140:160, :20] = 2, 2
+    alpha = matte_in_focus(picture, unknown, width=10)
+    np.testing.assert_allclose(alpha[150, 165:185], opacity[150, 165:185], atol=1e-5)
+    assert not alpha[150, :20].any()
+
+
 def test_mask_of_one_answer_needs_no_solving(disc, solver):
     *_, picture = disc
     for answer in (0, 1):

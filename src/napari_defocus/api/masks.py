@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -180,6 +181,7 @@ def segment_in_focus(
         need_matting_extra()
     problem = LabelingProblem.of(candidates, image, intensity_range)
     report = within_progress(progress, 0.0, 0.3 if alpha else 1.0)
+    settings = replace(settings, unknown="fill") if alpha else settings
     mask = labeled_mask(problem, settings, seeds=seeds, within=where, progress=report)
     if not alpha:
         return mask

@@ -25,6 +25,9 @@ _CORE, _HALO = 192, 48
 """px: what a tile is responsible for, and what it sees around. Two tiles differ by 0.01 at most
 where they meet; chosen by hand."""
 
+_UNKNOWN_REACH = 3
+"""Widths: so near to what is in focus, what is not known may be mixed, too; farther it is not."""
+
 _SHIFTS = (1e-4, 1e-3, 1e-2, 0.1, 0.5, 1.0, 10.0, 100.0)
 """Of the diagonal, tried by turns for the incomplete Cholesky factors of the preconditioner."""
 
@@ -53,8 +56,11 @@ def opacity(
     progress : callable, optional
     """
     need_matting_extra()
-    known = trimap(mask == 1, usual_width(mask.shape) if width is None else width)
-    known[mask == UNKNOWN] = np.where(known[mask == UNKNOWN] == 1, _UNSURE, 0)
+    width = usual_width(mask.shape) if width is None else width
+    known = trimap(mask == 1, width)
+    if (mask == UNKNOWN).any() and (mask == 1).any():
+        near = distance_transform_edt(mask != 1) <= _UNKNOWN_REACH * width
+        known[(mask == UNKNOWN) & near] = _UNSURE
     found, weight = np.zeros((2, *mask.shape), np.float32)
     tiles = _tiles(known)
     for number, (seen, share) in enumerate(tiles):
