@@ -252,7 +252,7 @@ def test_changed_pictures_and_other_settings_are_measured_again_only_by_force(
     measure_batch(photographs, out, settings=QUICK, force=True)
     assert (contents(out), len(measured)) == (before, 3)
     other = Settings(map=QUICK.map, mask=MaskSettings(threshold=3.0))
-    with pytest.raises(UnwritableResult, match=r"threshold was 2.0 and is 3.0"):
+    with pytest.raises(UnwritableResult, match=r"threshold was auto and is 3.0"):
         measure_batch(photographs, out, settings=other)
     report = measure_batch(photographs, out, settings=other, force=True)
     assert len(measured) == 5

@@ -44,7 +44,6 @@ def label_pixels(
     jump: int,
     reach: int,
     position: Labels | None = None,
-    fixed: Labels | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
 ) -> Labels:
@@ -66,8 +65,6 @@ def label_pixels(
         How far, in px, a boundary may move at once.
     position : (L,) int32 ndarray, optional
         As for `minimize_energy`.
-    fixed : (H, W) int32 ndarray, optional
-        Labels that pixels must have, -1 where they are free.
     change_at : callable, optional
         Given the present labels, the offered ones and places in the flat picture, returns D of
         the offer minus D of the present label there, instead of what `cost` says; NaN leaves
@@ -80,16 +77,11 @@ def label_pixels(
     """
     pixels = blocks.spread(labels)
     beside_jump = maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
-    if fixed is not None:
-        beside_jump |= blocks.count((fixed >= 0) & (fixed != pixels)) > 0
-        pixels = np.where(fixed >= 0, fixed, pixels)
     if not beside_jump.any():
         return pixels
     near = binary_dilation(beside_jump, iterations=-(-reach // blocks.side))
     free = blocks.spread(near).astype(bool)
     weights = pixel_weights(color, free, color_sigma, smoothness)
-    if fixed is not None:
-        free &= fixed < 0
     position = positions_of(cost, position)
     left = reach
     while left > 0:
@@ -106,6 +98,50 @@ def label_pixels(
             pixels = fuse(pixels, proposal, place, change, weights, position)
         left //= 2
     return pixels
+
+
+def cut_pixels(
+    labels: Labels,
+    cost: Float32,
+    blocks: Blocks,
+    color: Float32,
+    *,
+    smoothness: float,
+    color_sigma: float,
+    reach: int,
+    fixed: Labels | None = None,
+) -> Labels:
+    """Return the best of two labels for each pixel near the borders between blocks: one cut.
+
+    Parameters
+    ----------
+    labels, cost, blocks, color, smoothness, color_sigma
+        See `label_pixels`; labels are 0 and 1.
+    reach : int
+        How far, in px, a border may move: windows see what is sharp from half a side.
+    fixed : (H, W) int32 ndarray, optional
+        Labels that pixels must have, -1 where they are free.
+
+    Returns
+    -------
+    (H, W) int32 ndarray
+    """
+    pixels = blocks.spread(labels)
+    border = maximum_filter(labels, 3) != minimum_filter(labels, 3)
+    if fixed is not None:
+        border |= blocks.count((fixed >= 0) & (fixed != pixels)) > 0
+        pixels = np.where(fixed >= 0, fixed, pixels)
+    if not border.any():
+        return pixels
+    near = binary_dilation(border, iterations=-(-reach // blocks.side))
+    free = blocks.spread(near).astype(bool)
+    weights = pixel_weights(color, free, color_sigma, smoothness)
+    if fixed is not None:
+        free &= fixed < 0
+    place = np.flatnonzero(free)
+    other = _changed(pixels, place, 1 - pixels.ravel()[place])
+    change = _interpolated_change(cost, pixels, other, place, *blocks.positions)
+    return fuse(pixels, other, place, change, weights, positions_of(cost, None))
 
 
 def _changed(values: Labels, place: Places, new: Labels) -> Labels:

@@ -47,6 +47,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     METADATA_KEY,
     REGION,
+    THRESHOLD_FOUND,
     Results,
     layer_of_result,
     made_by_us,
@@ -139,6 +140,8 @@ class DefocusPanel(ImagePanel):
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
         for field in self.settings.weights():
             field.number.changed.connect(lambda _: self.update_labels())
+        for box in (self.settings.threshold_fields.found, self.settings.leave_unknown):
+            box.changed.connect(lambda _: self.update_labels())
         self.live.changed.connect(lambda _: self.update_labels())
         # napari may tell of a stroke before it is on the layer.
         self._see_through = SeeThrough(self._viewer)
@@ -364,6 +367,7 @@ class DefocusPanel(ImagePanel):
         for layer in self._showing_below_brush(results.layers, keep_earlier):
             shown.append(layer)
             yield layer
+        self._show_threshold(results.layers)
         self._on_min_confidence(self.settings.min_confidence.value)
         self._choose_first(results.layers)
         self._found.note(
@@ -457,6 +461,7 @@ class DefocusPanel(ImagePanel):
             shown.append(layer)
             yield layer
         self._shown.note(analysed, analysis, whole=whole)
+        self._show_threshold(results)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
             lines = summary_of(results, self._confidence(results), analysed.picture)
@@ -465,6 +470,13 @@ class DefocusPanel(ImagePanel):
             self._found.note(plane, lines, shown, asked, all_planes=False)
             self._tell()
             self._on_shown()
+
+    def _show_threshold(self, results: list[LayerDataTuple]) -> None:
+        """Let the slider show the threshold that was found from the picture, if it was."""
+        for _, keywords, _ in results:
+            made = keywords["metadata"][METADATA_KEY]
+            if made.get(THRESHOLD_FOUND) and self.settings.threshold_fields.found.value:
+                self.settings.threshold_fields.show_found(made["settings"]["threshold"])
 
     def _confidence(self, results: list[LayerDataTuple]) -> NDArray[np.floating] | None:
         """Return the confidence that is shown of what results are of, if it is."""
