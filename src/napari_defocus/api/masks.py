@@ -234,6 +234,12 @@ def matte_in_focus(
     ----------
     .. [1] A. Levin, D. Lischinski, Y. Weiss, "A Closed-Form Solution to Natural Image Matting",
        IEEE Transactions on Pattern Analysis and Machine Intelligence 30(2), 2008.
+
+    Examples
+    --------
+    >>> from napari_defocus import estimate_candidates, matte_in_focus, segment_in_focus
+    >>> mask = segment_in_focus(estimate_candidates(picture), picture)  # doctest: +SKIP
+    >>> opacity = matte_in_focus(picture, mask)  # doctest: +SKIP
     """
     need_matting_extra()
     picture = prepare_image(image, intensity_range)

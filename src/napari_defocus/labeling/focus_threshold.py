@@ -8,9 +8,8 @@ focus and what is not: there is a valley in the distribution. So tau of (18) is 
     d(u) + 2 (u - u0)^2,    u = log(tau + 1 px)
 
 is least: d is the density of u over the sure places, and u0 is that of 1.2 px above the sharpest
-15 %.
-It lies within 1 and 3.5 px, so that what is blurred everywhere is never called in focus; and above
-the sharpest places, if these are hardly blurred.
+15 %. It lies within 1 and 3.5 px, so that what is blurred everywhere is never called in focus; and
+above the sharpest places, if these are hardly blurred.
 """
 
 from __future__ import annotations

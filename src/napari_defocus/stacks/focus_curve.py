@@ -220,7 +220,7 @@ class _Plane:
             counts &= self.confidence > 0
         if not counts.any():
             return math.nan, math.nan, math.nan, math.nan
-        known, focused = counts.copy(), self.blur_map <= threshold
+        known, focused = counts.copy(), self.blur_map <= np.float64(threshold)
         if self.mask is not None:
             unknown = self.mask == UNKNOWN if self.mask.dtype.kind != "b" else False
             known, focused = known & ~np.asarray(unknown), self.mask != 0
