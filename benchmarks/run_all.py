@@ -2,9 +2,9 @@
 
     python benchmarks/run_all.py [--quick] [--data FOLDER] [--compare OLD.json] [--out FOLDER]
 
-Accuracy on pictures of known blur, on outlined photographs and on real pictures with a known
-answer, the calibration of the confidence, the energy of labels, restoration, time and memory, and
-what each step beyond the paper gains.
+Accuracy on pictures of known blur, of wide blur, on outlined photographs and on real pictures with
+a known answer, the calibration of the confidence, the energy of labels, restoration, time and
+memory, and what each step beyond the paper gains.
 Prints one Markdown table. With --out, writes peers.md, ablation.md, their plots and numbers.json
 there: `--out docs/measured` brings the documentation up to date. With --compare, tells what became
 better or worse than in an earlier numbers.json, beyond the spread. All of it takes about 25 minutes
@@ -32,10 +32,11 @@ from record import Record, circumstances, compared, load
 from restoration import as_floats, measure_restoration
 from scenes import groups
 from sizes import measure_sizes
+from wide import measure_wide
 
 from napari_defocus.core.writing import write_results
 
-PARTS = ("accuracy", "photographs", "real", "energy", "restoration", "sizes", "ablation")
+PARTS = ("accuracy", "wide", "photographs", "real", "energy", "restoration", "sizes", "ablation")
 NUMBERS = "numbers.json"
 QUICK_SOURCES = 2
 ENERGY_SIDE, QUICK_ENERGY_SIDE = 240, 120
@@ -129,6 +130,7 @@ def measurements(
     side = QUICK_ENERGY_SIDE if quick else ENERGY_SIDE
     return {
         "accuracy": lambda: measure_accuracy(groups(sources, quick=quick, seed=seed), record),
+        "wide": lambda: measure_wide(sources, record, quick=quick, seed=seed),
         "photographs": lambda: measure_photographs(photos, record),
         "real": lambda: measure_real(arguments.real, record),
         "energy": lambda: measure_energy(some, side, record),

@@ -1,6 +1,6 @@
 """Blur of up to 48 px, and sharp things before a ground that is so blurred: a part of run_all.py.
 
-    python benchmarks/wide.py [--data ../shared/data/sharp] [--quick]
+    python benchmarks/wide.py [--data FOLDER] [--quick]
 
 Pictures of 3 megapixels are mosaics of sharp pictures, seen by a lens that makes discs, with noise
 of variance 1e-5; with --quick, of 0.7 megapixels and fewer. Planes have one radius from 0.5 to

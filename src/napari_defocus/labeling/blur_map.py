@@ -94,6 +94,7 @@ def labeled_blur_map(
         color_sigma=problem.sigma(color_sigma),
         jump=JUMP,
         reach=REACH,
+        weight=problem.pixel_weight,
         progress=within(progress, 0.7, 0.9),
     )
     axis = candidates.scales.astype(np.float32)
@@ -116,7 +117,7 @@ def _problem_of_blocks(
     cost = problem.cost(CURVE_WEIGHT)
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, settings.smoothness)
-    return cost, cost * problem.blocks.area[..., None], weights
+    return cost, cost * problem.block_weight[..., None], weights
 
 
 def coarse_problem(
@@ -164,9 +165,10 @@ def labeling_energy(
 ) -> float:
     """Evaluate what `label_blur_map` minimises, (14), for any map, pixel by pixel.
 
-    Every pixel pays the data term of its label, interpolated between the windows, and every pair
-    of 8-neighbours the difference of their labels times the weight (16). Of two maps of one
-    picture, the one with less energy is the better compromise, for these candidates.
+    Every pixel pays the data term of its label, interpolated between the windows; nine times, if it
+    shows sharp details itself (`BlurCandidates.sharp`). Every pair of 8-neighbours pays the
+    difference of their labels times the weight (16). Of two maps of one picture, the one with
+    less energy is the better compromise, for these candidates.
 
     Parameters
     ----------
@@ -218,4 +220,5 @@ def labeling_energy(
         problem.color,
         smoothness=smoothness,
         color_sigma=problem.sigma(color_sigma),
+        weight=problem.pixel_weight,
     )

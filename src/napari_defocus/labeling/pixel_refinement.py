@@ -44,6 +44,7 @@ def label_pixels(
     jump: int,
     reach: int,
     fixed: Labels | None = None,
+    weight: Float32 | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
 ) -> Labels:
@@ -65,6 +66,8 @@ def label_pixels(
         How far, in px, a boundary may move at once.
     fixed : (H, W) int32 ndarray, optional
         Labels that pixels must have, -1 where they are free.
+    weight : (H, W) float32 ndarray, optional
+        How much D counts at each pixel; 1 by default.
     change_at : callable, optional
         Given the present labels, the offered ones and places in the flat picture, returns D of
         the offer minus D of the present label there, instead of what `cost` says; NaN leaves
@@ -96,6 +99,8 @@ def label_pixels(
             place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
             proposal = _changed(pixels, place, proposal.ravel()[place])
             change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            if weight is not None:
+                change *= weight.ravel()[place]
             if change_at is not None:
                 own = change_at(pixels, proposal, place)
                 change = np.where(np.isnan(own), change, own)
@@ -138,12 +143,16 @@ def energy_of_pixels(
     *,
     smoothness: float,
     color_sigma: float,
+    weight: Float32 | None = None,
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
+    if weight is None:
+        weight = np.ones(pixels.shape, np.float32)
     sharpness = np.float32(0.5 / color_sigma**2)
     evidence, jumps = np.zeros((2, len(pixels)))
     places = blocks.positions
-    in_bands(_energy_of_rows, len(pixels), pixels, cost, color, *places, sharpness, evidence, jumps)
+    given = pixels, cost, color, weight
+    in_bands(_energy_of_rows, len(pixels), *given, *places, sharpness, evidence, jumps)
     return float(evidence.sum() + smoothness * jumps.sum())
 
 
@@ -154,6 +163,7 @@ def _energy_of_rows(
     pixels: Labels,
     cost: Float32,
     color: Float32,
+    counts: Float32,
     row_position: Float64,
     column_position: Float64,
     sharpness: np.float32,
@@ -165,7 +175,8 @@ def _energy_of_rows(
     for i in range(start, stop):
         for j in range(columns):
             label = pixels[i, j]
-            evidence[i] += _interpolated(cost, label, row_position[i], column_position[j])
+            own = _interpolated(cost, label, row_position[i], column_position[j])
+            evidence[i] += counts[i, j] * own
             for down, right in STEPS:
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns and pixels[y, x] != label:

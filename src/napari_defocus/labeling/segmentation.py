@@ -70,6 +70,7 @@ def labeled_mask(
         jump=1,
         reach=_reach(problem.own),
         fixed=fixed,
+        weight=problem.pixel_weight,
         progress=within(progress, 0.5, 1.0, _STEP),
     )
     progress(_STEP, 1.0)
@@ -86,7 +87,7 @@ def _problem_of_blocks(
     share = 1.0 if problem.own.mode == "paper" else _BLOCK_SHARE
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, share * settings.smoothness)
-    block_cost = cost * problem.blocks.area[..., None]
+    block_cost = cost * problem.block_weight[..., None]
     if fixed is not None:
         block_cost += _seed_cost(fixed, problem.blocks)
     return cost, block_cost, weights
