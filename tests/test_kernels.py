@@ -36,6 +36,7 @@ from napari_defocus.labeling.pixel_refinement import (
     energy_of_pixels,
     interpolate_labels,
 )
+from napari_defocus.likelihood.between_windows import _interpolate
 from napari_defocus.likelihood.blur_spectra import SpectrumTable
 from napari_defocus.likelihood.gabor import _filtered, axis_filters, window_centers
 from napari_defocus.likelihood.maxima import _pick_maxima, refine_maxima
@@ -44,7 +45,7 @@ from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.likelihood.scale_space import _add_level, _interpolate
+from napari_defocus.likelihood.scale_space import _add_level
 from napari_defocus.restoration.deconvolution import _graph_laplacian, _irls_weights
 from napari_defocus.stacks.depth_from_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 from skimage import data
 
@@ -91,6 +92,14 @@ def test_thin_things_before_a_wide_blur_are_shown(mosaic):
     for bar in bars.values():
         assert np.mean(blur_map[bar] < 2) > 0.8
     assert np.abs(blur_map[~thing] - 12).mean() < 1.5
+
+
+def test_noise_that_is_no_white_noise_is_not_taken_for_details(mosaic):
+    noise = gaussian_filter(np.random.default_rng(0).normal(size=mosaic.shape), 1.5)
+    light = blurred(mosaic, Disc().kernel(20.0)) + 3e-5**0.5 / noise.std() * noise
+    picture = light.astype(np.float32)
+    blur_map = label_blur_map(estimate_candidates(picture, noise_variance=3e-5), picture)
+    assert np.mean(np.abs(blur_map - 20) > 5) < 0.05
 
 
 def test_what_is_sharp_has_no_part_in_what_coarser_levels_see(mosaic):

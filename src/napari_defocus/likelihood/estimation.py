@@ -192,7 +192,8 @@ def _levels_of(
         found = _of_one_level(seen, how.of_level(level), noise, shot, report)
         levels.append(Level(seen, found, 2**level, hidden))
         if level + 1 < count:
-            details.append(_sharp_details(picture, noise, shot))
+            # Not less than at level 0: a camera's noise is not white.
+            details.append(_sharp_details(picture, noise_variance, shot_noise))
             picture, hidden = halved_without(picture, details[-1].around | hidden)
     return levels, details[0]
 

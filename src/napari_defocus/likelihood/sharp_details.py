@@ -49,8 +49,8 @@ _REACH = 2.0
 """Standard deviations of the widest Gaussians, of the others 3: levels of tiles see no further."""
 
 _LEAST_NOISE = np.float32(4e-6)
-"""Variance, for a contrast of 1. Coarser levels have less noise than that, and with it passes what
-the lens itself leaves: singular places at a distance of r from an edge."""
+"""Variance, for a contrast of 1. With less, what the lens itself leaves passes: singular places at
+a distance of r from an edge."""
 
 _LEAST_ENERGY = np.float32(1e-12)
 
