@@ -86,7 +86,7 @@ def _measure_planes(mosaic: Mosaic, record: Record, radii: tuple[float, ...], se
     for low, high in RANGES:
         inside = tuple(found[r] / r for r in radii if low < r <= high or r == low == RANGES[0][0])
         record.add(
-            Number(f"wide: planes, {low} to {high} px", "mean relative error", OURS, inside, "%",
+            Number(f"wide: planes, {low} to {high} px", "mean relative error", OURS, inside, "",
                    "lower")
         )  # fmt: skip
     small = [radius for radius in radii if radius < NARROW]
