@@ -2,9 +2,10 @@
 
     python benchmarks/run_all.py [--quick] [--data FOLDER] [--compare OLD.json] [--out FOLDER]
 
-Accuracy on pictures of known blur, on outlined photographs, on pairs of pictures whose masks
-complement each other, and on real pictures with a known answer, the calibration of the confidence,
-the energy of labels, restoration, time and memory, and what each step beyond the paper gains.
+Accuracy on pictures of known blur, of wide blur, on outlined photographs, on pairs of pictures
+whose masks complement each other, and on real pictures with a known answer, the calibration of the
+confidence, the energy of labels, restoration, time and memory, and what each step beyond the paper
+gains.
 Prints one Markdown table. With --out, writes peers.md, ablation.md, their plots and numbers.json
 there: `--out docs/measured` brings the documentation up to date. With --compare, tells what became
 better or worse than in an earlier numbers.json, beyond the spread. All of it takes about 25 minutes
@@ -33,11 +34,13 @@ from record import Record, circumstances, compared, load
 from restoration import as_floats, measure_restoration
 from scenes import groups
 from sizes import measure_sizes
+from wide import measure_wide
 
 from napari_defocus.core.writing import write_results
 
 PARTS = (
     "accuracy",
+    "wide",
     "photographs",
     "complements",
     "real",
@@ -139,6 +142,7 @@ def measurements(
     side = QUICK_ENERGY_SIDE if quick else ENERGY_SIDE
     return {
         "accuracy": lambda: measure_accuracy(groups(sources, quick=quick, seed=seed), record),
+        "wide": lambda: measure_wide(sources, record, quick=quick, seed=seed),
         "photographs": lambda: measure_photographs(photos, record),
         "complements": lambda: measure_complements(sources, record, quick=quick),
         "real": lambda: measure_real(arguments.real, record),

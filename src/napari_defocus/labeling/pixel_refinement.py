@@ -50,6 +50,7 @@ def label_pixels(
     jump: int,
     reach: int,
     position: Labels | None = None,
+    weight: Float32 | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
 ) -> Labels:
@@ -71,6 +72,8 @@ def label_pixels(
         How far, in px, a boundary may move at once.
     position : (L,) int32 ndarray, optional
         As for `minimize_energy`.
+    weight : (H, W) float32 ndarray, optional
+        How much D counts at each pixel; 1 by default.
     change_at : callable, optional
         Given the present labels, the offered ones and places in the flat picture, returns D of
         the offer minus D of the present label there, instead of what `cost` says; NaN leaves
@@ -98,6 +101,8 @@ def label_pixels(
             place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
             proposal = _changed(pixels, place, proposal.ravel()[place])
             change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            if weight is not None:
+                change *= weight.ravel()[place]
             if change_at is not None:
                 own = change_at(pixels, proposal, place)
                 change = np.where(np.isnan(own), change, own)
@@ -116,6 +121,7 @@ def cut_pixels(
     color_sigma: float,
     reach: int,
     fixed: Labels | None = None,
+    weight: Float32 | None = None,
 ) -> Labels:
     """Return the best of two labels for each pixel near the borders between blocks.
 
@@ -130,6 +136,8 @@ def cut_pixels(
         How far, in px, a border may move: windows see what is sharp from half a side.
     fixed : (H, W) int32 ndarray, optional
         Labels that pixels must have, -1 where they are free.
+    weight : (H, W) float32 ndarray, optional
+        How much D counts at each pixel; 1 by default.
 
     Returns
     -------
@@ -151,6 +159,8 @@ def cut_pixels(
     zero, one = np.zeros_like(pixels), np.ones_like(pixels)
     rise = np.zeros(pixels.shape, np.float32)
     rise.ravel()[place] = _interpolated_change(cost, zero, one, place, *blocks.positions)
+    if weight is not None:
+        rise *= weight
     squares = np.where(free, _cut_of_squares(pixels, rise, weights, free), pixels)
     # Thin things are in blocks, but not in squares.
     beside = _beside_border(squares) | _beside_border(pixels)
@@ -227,14 +237,17 @@ def energy_of_pixels(
     smoothness: float,
     color_sigma: float,
     position: Labels | None = None,
+    weight: Float32 | None = None,
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
+    if weight is None:
+        weight = np.ones(pixels.shape, np.float32)
     sharpness = np.float32(0.5 / color_sigma**2)
     evidence, jumps = np.zeros((2, len(pixels)))
     at = positions_of(cost, position)
     places = blocks.positions
-    found = evidence, jumps
-    in_bands(_energy_of_rows, len(pixels), pixels, cost, at, color, *places, sharpness, *found)
+    given = pixels, cost, at, color, weight
+    in_bands(_energy_of_rows, len(pixels), *given, *places, sharpness, evidence, jumps)
     return float(evidence.sum() + smoothness * jumps.sum())
 
 
@@ -246,6 +259,7 @@ def _energy_of_rows(
     cost: Float32,
     position: Labels,
     color: Float32,
+    counts: Float32,
     row_position: Float64,
     column_position: Float64,
     sharpness: np.float32,
@@ -257,7 +271,8 @@ def _energy_of_rows(
     for i in range(start, stop):
         for j in range(columns):
             label = pixels[i, j]
-            evidence[i] += _interpolated(cost, label, row_position[i], column_position[j])
+            own = _interpolated(cost, label, row_position[i], column_position[j])
+            evidence[i] += counts[i, j] * own
             for down, right in STEPS:
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns and pixels[y, x] != label:

@@ -85,6 +85,7 @@ def _cut(
         color_sigma=problem.sigma(settings.color_sigma),
         reach=3 * problem.own.window // 4,
         fixed=fixed,
+        weight=problem.pixel_weight,
     )
     progress(_STEP, 1.0)
     return mask.astype(np.uint8)
@@ -100,7 +101,7 @@ def _problem_of_blocks(
     share = 1.0 if problem.own.mode == "paper" else _BLOCK_SHARE
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, share * settings.smoothness)
-    block_cost = cost * problem.blocks.area[..., None]
+    block_cost = cost * problem.block_weight[..., None]
     if fixed is not None:
         block_cost += _seed_cost(fixed, problem.blocks)
     return cost, block_cost, weights
