@@ -264,7 +264,7 @@ def test_block_weights_are_sums_of_16(shape, stride):
     np.testing.assert_allclose(matrix(edges, rows * columns), expected, rtol=1e-5)
 
 
-POSITION = np.array([0, 1, 2, 5], np.int32)
+POSITION = np.array([0, 1, 2, 4.5], np.float32)
 """Of labels whose last one is farther away than the others."""
 
 
@@ -349,7 +349,7 @@ def test_fusion_is_the_best_of_all_mixtures(proposal):
 def test_flow_leaves_the_value_of_every_cut():
     rng = np.random.default_rng(2)
     labels, proposal = rng.permuted(np.arange(8).reshape(2, 2, 2), axis=0).astype(np.int32)
-    position = np.arange(8, dtype=np.int32)
+    position = np.arange(8, dtype=np.float32)
     place, weights = np.arange(4), random_weights(2, 2)
     change = rng.normal(0, 2, 4)
     graph = _fusion_graph(labels, proposal, place, change, weights, position)

@@ -8,12 +8,12 @@ from napari_defocus.likelihood.scale_space import joined_scales
 
 def test_up_to_8_px_labels_are_as_far_apart_as_their_numbers():
     scales = label_scales(Disc(8.0))
-    np.testing.assert_array_equal(label_positions(scales), np.arange(81))
+    np.testing.assert_allclose(label_positions(scales), np.arange(81), atol=1e-5)
 
 
-def test_beyond_8_px_an_octave_costs_as_much_as_6_px():
+def test_beyond_8_px_an_octave_costs_as_much_as_4_px():
     scales = joined_scales(64.0, 41, 4)
     position = label_positions(scales)
     assert (np.diff(position) > 0).all()
     at = {radius: position[np.argmin(np.abs(scales - radius))] for radius in (8, 16, 32, 64)}
-    assert list(at.values()) == [80, 140, 200, 260]
+    np.testing.assert_allclose(list(at.values()), [80, 120, 160, 200], atol=1e-4)

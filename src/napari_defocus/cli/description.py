@@ -120,11 +120,11 @@ def _mask_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     found = ", found from the picture" if facts["threshold_found"] else ""
     share, known = facts["in_focus_percent"], facts["known_percent"]
     if share is None:
-        yield f"in focus     not known anywhere, up to {facts['threshold_px']:.4g} px"
+        yield f"in focus     not known anywhere, blur up to {facts['threshold_px']:.4g} px"
         return
     yield (
         f"in focus     {share:.1f} % of what is known ({known:.1f} % of the picture), "
-        f"up to {facts['threshold_px']:.4g} px{found}"
+        f"blur up to {facts['threshold_px']:.4g} px{found}"
     )
 
 

@@ -128,7 +128,7 @@ def _problem_of_blocks(
 
 def coarse_problem(
     problem: LabelingProblem, levels: int, settings: MapSettings
-) -> tuple[Float32, Float32, NDArray[np.int32]]:
+) -> tuple[Float32, Float32, Float32]:
     """Return what is minimised, on a grid that is coarser by so many powers of two.
 
     Returns

@@ -88,7 +88,7 @@ def minimize_energy(
     weights: Float32,
     progress: Progress = silent,
     *,
-    position: Labels | None = None,
+    position: Float32 | None = None,
     coarse: bool = False,
     finest: bool = True,
 ) -> Labels:
@@ -101,7 +101,7 @@ def minimize_energy(
     weights : (4, R, C) float32 ndarray
         w between a node and its neighbour at each of `STEPS`; 0 where there is none.
     progress : callable, optional
-    position : (L,) int32 ndarray, optional
+    position : (L,) float32 ndarray, optional
         p, where each label is on the axis on which differences are counted; its number by default.
     coarse : bool, optional
         Stop before the finest grid: two by two nodes have a label in common.
@@ -144,7 +144,7 @@ def minimize_energy_from(
     weights: Float32,
     progress: Progress = silent,
     *,
-    position: Labels | None = None,
+    position: Float32 | None = None,
 ) -> Labels:
     """Find labels of low energy from those of a coarser grid.
 
@@ -181,14 +181,14 @@ def minimize_energy_from(
     return labels
 
 
-def _coarse_start(data: Float32, weights: Float32, position: Labels | None) -> Labels:
+def _coarse_start(data: Float32, weights: Float32, position: Float32 | None) -> Labels:
     """Find the labels of least energy among every fourth: they decide about whole regions."""
     every = np.ascontiguousarray(data[..., ::_COARSE_STEP])
     some = positions_of(data, position)[::_COARSE_STEP]
     return _COARSE_STEP * solve_exactly(every, weights, position=some)
 
 
-def solve_exactly(data: Float32, weights: Float32, *, position: Labels | None = None) -> Labels:
+def solve_exactly(data: Float32, weights: Float32, *, position: Float32 | None = None) -> Labels:
     """Find the labels of least energy by one cut: for few nodes, or few labels.
 
     Parameters and result are those of `minimize_energy`; the cut has R x C x (L - 1) nodes.
@@ -208,7 +208,7 @@ def improve(
     data: Float32,
     weights: Float32,
     *,
-    position: Labels | None = None,
+    position: Float32 | None = None,
     everywhere: bool = False,
     progress: Progress = silent,
 ) -> Labels:
@@ -248,7 +248,7 @@ def _expand_near(
     sweep: _Sweep,
     data: Float32,
     weights: Float32,
-    position: Labels,
+    position: Float32,
     progress: Progress,
 ) -> Labels:
     """Offer labels to the nodes near those that have about this label."""
@@ -289,7 +289,7 @@ def expand_until_settled(
     progress: Progress = silent,
     start: Labels | None = None,
     *,
-    position: Labels | None = None,
+    position: Float32 | None = None,
 ) -> Labels:
     """Find labels by expansion moves over all labels alone, until none lowers the energy.
 
@@ -310,7 +310,7 @@ def expand_until_settled(
 
 
 def expand(
-    labels: Labels, alpha: int, data: Float32, weights: Float32, position: Labels | None = None
+    labels: Labels, alpha: int, data: Float32, weights: Float32, position: Float32 | None = None
 ) -> Labels:
     """Let the label alpha take the nodes that it should have: an expansion move."""
     return _expand_at(labels, alpha, np.flatnonzero(labels != alpha), data, weights, position)
@@ -322,7 +322,7 @@ def _expand_at(
     place: Places,
     data: Float32,
     weights: Float32,
-    position: Labels | None,
+    position: Float32 | None,
 ) -> Labels:
     proposal = labels.copy()
     proposal.ravel()[place] = alpha
@@ -331,7 +331,7 @@ def _expand_at(
 
 
 def _fuse_labels(
-    labels: Labels, proposal: Labels, data: Float32, weights: Float32, position: Labels | None
+    labels: Labels, proposal: Labels, data: Float32, weights: Float32, position: Float32 | None
 ) -> Labels:
     place = np.flatnonzero(labels != proposal)
     change = _change(labels, proposal, place, data)
@@ -375,14 +375,14 @@ class Edges:
 
 
 def energy_of(
-    labels: Labels, data: Float32, weights: Float32, position: Labels | None = None
+    labels: Labels, data: Float32, weights: Float32, position: Float32 | None = None
 ) -> float:
     """Evaluate (14) for labels (R, C), costs (R, C, L), weights (4, R, C) and positions (L,)."""
     return float(_energy_of(labels, data, weights, positions_of(data, position)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _energy_of(labels: Labels, data: Float32, weights: Float32, position: Labels) -> float:
+def _energy_of(labels: Labels, data: Float32, weights: Float32, position: Float32) -> float:
     rows, columns = labels.shape
     energy = 0.0
     for i in range(rows):
@@ -398,7 +398,7 @@ def _energy_of(labels: Labels, data: Float32, weights: Float32, position: Labels
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _threshold_graph(
-    data: Float32, gap: Labels, first: Labels, second: Labels, weight: Float32
+    data: Float32, gap: Float32, first: Labels, second: Labels, weight: Float32
 ) -> tuple[Float64, Labels, Labels, Float64, Float64]:
     """Return unary costs and arcs over the variables "the label of node i is above t".
 
@@ -449,7 +449,7 @@ def fuse(
     place: Places,
     change: Float64,
     weights: Float32,
-    position: Labels,
+    position: Float32,
 ) -> Labels:
     """Take the proposed label at the best set of nodes: one minimum cut.
 
@@ -461,7 +461,7 @@ def fuse(
     change : (P,) float64 ndarray
         D of the proposed label minus D of the present one.
     weights : (4, R, C) float32 ndarray
-    position : (L,) int32 ndarray
+    position : (L,) float32 ndarray
         As for `minimize_energy`.
 
     Returns
@@ -487,7 +487,7 @@ def _fusion_graph(
     place: Places,
     change: Float64,
     weights: Float32,
-    position: Labels,
+    position: Float32,
 ) -> tuple[Float64, Labels, Labels, Float32]:
     """Return unary costs and edges of the binary variables "the node has its larger label".
 
@@ -532,8 +532,8 @@ def _fusion_graph(
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def _outside(low: int, high: int, least: int, most: int) -> int:
-    """Count the thresholds from low to high that are above most, less those below least."""
+def _outside(low: float, high: float, least: float, most: float) -> float:
+    """Return how much of low to high is above most, less what of it is below least."""
     return max(high, most) - max(low, most) - min(high, least) + min(low, least)
 
 

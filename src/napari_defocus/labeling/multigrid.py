@@ -20,13 +20,13 @@ inside of the joined node would count as well. Chosen by the energy on ramps and
 """
 
 
-def positions_of(data: Float32, position: Labels | None) -> Labels:
-    """Return where the labels of costs (R, C, L) are on the axis of differences: (L,) int32."""
-    return np.arange(data.shape[2], dtype=np.int32) if position is None else position
+def positions_of(data: Float32, position: Float32 | None) -> Float32:
+    """Return where the labels of costs (R, C, L) are on the axis of differences: (L,) float32."""
+    return np.arange(data.shape[2], dtype=np.float32) if position is None else position
 
 
 def coarser(
-    data: Float32, weights: Float32, position: Labels | None = None, *, agreed: bool = False
+    data: Float32, weights: Float32, position: Float32 | None = None, *, agreed: bool = False
 ) -> tuple[Float32, Float32]:
     """Join nodes two by two: costs add up, and so do the weights across the seams.
 
@@ -45,7 +45,7 @@ def coarser(
     """
     rows, columns = (-(-length // 2) for length in data.shape[:2])
     joined = np.zeros((rows, columns, data.shape[2]), np.float32)
-    gap = np.diff(positions_of(data, position)).astype(np.float32)
+    gap = np.diff(positions_of(data, position))
     price = np.full(data.shape[:2], np.inf if agreed else 0, np.float32)
     if not agreed:
         price[:] = _RELAXATION * weights.sum(axis=0)

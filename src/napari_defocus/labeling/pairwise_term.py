@@ -32,15 +32,15 @@ Value = TypeVar("Value", bound=np.generic)
 _LINEAR_END = 8.0
 """px: up to there, labels pay for their distance in px; beyond it, in octaves."""
 
-_OCTAVE = 60.0
+_OCTAVE = 40.0
 """Steps of 0.1 px: an octave beyond 8 px costs as much (docs/decisions.md)."""
 
 
-def label_positions(scales: Float64) -> NDArray[np.int32]:
+def label_positions(scales: Float64) -> Float32:
     """Return where labels of scales in px, (L,), are on the axis on which (15) counts: (L,)."""
     octaves = np.log2(np.maximum(scales, _LINEAR_END) / _LINEAR_END)
     linear = np.minimum(scales, _LINEAR_END) / LABEL_STEP
-    return np.rint(linear + _OCTAVE * octaves).astype(np.int32)
+    return (linear + _OCTAVE * octaves).astype(np.float32)
 
 
 @dataclass(frozen=True)

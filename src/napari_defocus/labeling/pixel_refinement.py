@@ -49,7 +49,7 @@ def label_pixels(
     color_sigma: float,
     jump: int,
     reach: int,
-    position: Labels | None = None,
+    position: Float32 | None = None,
     weight: Float32 | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
@@ -70,7 +70,7 @@ def label_pixels(
         The smallest difference of labels that counts as a discontinuity.
     reach : int
         How far, in px, a boundary may move at once.
-    position : (L,) int32 ndarray, optional
+    position : (L,) float32 ndarray, optional
         As for `minimize_energy`.
     weight : (H, W) float32 ndarray, optional
         How much D counts at each pixel; 1 by default.
@@ -198,7 +198,7 @@ def _flipped(labels: Labels, rise: Float32, weights: Float32, free: NDArray[np.b
     place = np.flatnonzero(free)
     now = labels.ravel()[place]
     change = np.where(now == 0, 1, -1) * rise.ravel()[place].astype(np.float64)
-    position = np.arange(2, dtype=np.int32)
+    position = np.arange(2, dtype=np.float32)
     return fuse(labels, _changed(labels, place, 1 - now), place, change, weights, position)
 
 
@@ -236,7 +236,7 @@ def energy_of_pixels(
     *,
     smoothness: float,
     color_sigma: float,
-    position: Labels | None = None,
+    position: Float32 | None = None,
     weight: Float32 | None = None,
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
@@ -257,7 +257,7 @@ def _energy_of_rows(
     stop: int,
     pixels: Labels,
     cost: Float32,
-    position: Labels,
+    position: Float32,
     color: Float32,
     counts: Float32,
     row_position: Float64,

@@ -83,7 +83,7 @@ class LabelingProblem:
         return color_sigma * intensities.contrast / intensities.unit
 
     @cached_property
-    def position(self) -> NDArray[np.int32]:
+    def position(self) -> Float32:
         """Where each label is on the axis on which the pairwise term counts: (L,)."""
         return label_positions(self.own.scales)
 
@@ -151,7 +151,7 @@ class CoarseLabels:
     own: tuple[slice, slice]
     inner_sides: tuple[bool, bool, bool, bool]
 
-    def hold(self, data: Float32, price: float, position: NDArray[np.int32] | None = None) -> None:
+    def hold(self, data: Float32, price: float, position: Float32 | None = None) -> None:
         """Add a price for each label that the rim of the part differs, to costs (R, C, L).
 
         Of labels at any positions (L,), for as far as they are apart.

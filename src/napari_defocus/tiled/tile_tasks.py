@@ -32,7 +32,7 @@ from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.tiled.tiles import Tile
 
 Float32 = NDArray[np.float32]
-Problem = tuple[Float32, Float32, NDArray[np.int32]]
+Problem = tuple[Float32, Float32, Float32]
 Found = dict[str, NDArray[Any]]
 
 
@@ -165,7 +165,7 @@ class Wanted:
             found["blur_map"] = coarse_problem(problem, levels, self.map)
         if self.mask is not None:
             data, weights = coarse_mask_problem(problem, levels, self.mask, seeds)
-            found["mask"] = data, weights, np.arange(2, dtype=np.int32)
+            found["mask"] = data, weights, np.arange(2, dtype=np.float32)
         return found
 
     def measure(
@@ -276,7 +276,7 @@ def label_cells(rows: list[dict[str, Problem]]) -> dict[str, NDArray[np.int32]]:
     }
 
 
-def _minimized(data: Float32, weights: Float32, position: NDArray[np.int32]) -> NDArray[np.int32]:
+def _minimized(data: Float32, weights: Float32, position: Float32) -> NDArray[np.int32]:
     return minimize_energy(data, weights, position=position, finest=False)
 
 
