@@ -133,9 +133,9 @@ def test_lens_is_what_the_photograph_notes_and_what_is_given(folder, instant):
 def test_what_the_photograph_lacks_is_named_before_any_work(folder, instant):
     before = names_in(folder)
     result = run("depth", folder / "noted.jpg")
-    assert_fails_in_one_line(result, saying="does not note focus_distance_m; give what is missing")
+    assert_fails_in_one_line(result, saying="does not note --focus-distance; give what is missing")
     result = run("depth", folder / "p.png", "--focus-distance", 2)
-    missing = "does not note focal_length_mm, f_number and pixel_pitch_um"
+    missing = "does not note --focal-length, --f-number and --pixel-pitch"
     assert_fails_in_one_line(result, saying=missing)
     assert not instant, "nothing was computed"
     assert names_in(folder) == before
@@ -211,7 +211,7 @@ def test_distance_is_the_same_whatever_the_lens(folder, instant):
 @pytest.mark.parametrize(
     ("options", "saying"),
     [
-        (["--pixel-pitch", -5], "pixel_pitch_um is -5"),
+        (["--pixel-pitch", -5], "--pixel-pitch is -5"),
         (["--focus-distance", 0.01], "above the focal length"),
         (["--min-confidence", 2], "min_confidence"),
         (["-o", "p.jpg"], "must end in"),

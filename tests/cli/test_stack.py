@@ -100,7 +100,7 @@ def test_all_channels_are_put_together_at_the_positions_of_one(tmp_path, small):
     ("arguments", "saying"),
     [
         (["-o", "x.png"], "must end in .tif"),
-        (["--px-per-plane", "0"], "px_per_plane is 0"),
+        (["--px-per-plane", "0"], "--px-per-plane is 0"),
         (["-o", "worm.tif", "--force"], "it is a file that is read"),
     ],
 )

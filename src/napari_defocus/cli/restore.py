@@ -243,7 +243,7 @@ def _check_change(
             if value is not None:
                 raise ValueError(f"{name} is {value}, but only sharp_at takes a lens")
         if focus in (None, RefocusSettings.focus) and aperture == RefocusSettings.aperture:
-            raise ValueError("nothing would change; give focus, sharp_at or aperture")
+            raise ValueError("nothing would change; give --focus, --sharp-at or --aperture")
     elif not sharp_at > 0:
         raise ValueError(f"sharp_at is {sharp_at}; it takes a distance above 0 m")
     RefocusSettings(focus=focus or 0.0, aperture=aperture)
