@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -196,11 +197,15 @@ def given_image(name: str, values: ArrayLike) -> NDArray[Any]:
 
     Raises
     ------
+    TypeError
+        If it is the path of a file.
     ValueError
-        If it is none.
+        If it is no array.
     """
     if isinstance(values, np.ma.MaskedArray):
         return values
+    if isinstance(values, str | os.PathLike):
+        raise TypeError(f"{name} is {str(values)!r}; it takes an array, as read_picture returns it")
     try:
         return np.asarray(values)
     except ValueError as error:
@@ -303,7 +308,8 @@ def checked_range(intensity_range: IntensityRange | None) -> IntensityRange | No
         low, high = np.nan, np.nan
     if not (np.isfinite([low, high]).all() and low < high):
         raise ValueError(
-            f"intensity_range is {intensity_range!r}; it takes two finite numbers (low, high)"
+            f"intensity_range is {intensity_range!r}; "
+            "it takes two finite numbers (low, high), the higher one last"
         )
     return low, high
 
