@@ -192,7 +192,8 @@ def timed_figures(step: Step, picture: Picture, group: Group) -> dict[str, float
         candidates = estimate_candidates(picture.seen, **step.arguments(picture.seen))
         blur_map = label_blur_map(candidates, picture.seen, **step.label)
         seconds = time.perf_counter() - began
-        mask = segment_in_focus(candidates, picture.seen, **step.label) == 1
+        label = {"threshold": THRESHOLD} | step.label
+        mask = segment_in_focus(candidates, picture.seen, **label) == 1
     error = np.abs(blur_map - picture.truth)
     clear = picture.known & decided(picture.truth)
     figures = {"mean error": error[picture.known].mean(), "time": seconds}

@@ -75,8 +75,8 @@ def everything_of(picture: Picture) -> dict[str, np.ndarray]:
         OURS: blur_map,
         PAPER: label_blur_map(plain, picture.seen),
         "confidence": confidence_map(candidates, blur_map),
-        "mask": segment_in_focus(candidates, picture.seen) == 1,
-        "mask of the paper": segment_in_focus(plain, picture.seen) == 1,
+        "mask": segment_in_focus(candidates, picture.seen, threshold=THRESHOLD) == 1,
+        "mask of the paper": segment_in_focus(plain, picture.seen, threshold=THRESHOLD) == 1,
         **{f"score, {name}": score for name, score in scores(picture.seen).items()},
     }
 

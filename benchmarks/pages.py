@@ -17,7 +17,7 @@ MAIN_MEASURES = (
     "time",
     "largest memory",
 )
-PARTS = ("accuracy", "photographs", "real", "energy", "restoration", "sizes")
+PARTS = ("accuracy", "wide", "photographs", "real", "energy", "restoration", "sizes")
 METHODS = (OURS, PAPER, *SCORES)
 _NOT_IN_TABLE = ("without a step", "with an option", "search for", "photograph ", "uniform, ")
 _KEPT_UNIFORM = "uniform, noise"
@@ -100,7 +100,8 @@ ellipses one before the other, and the motorcycle of scikit-image has a measured
 light, 8 bits; both hide what is behind them. Sharp pictures are never perfectly sharp: their own
 blur adds to the true radius, which counts at 1 px and below. Lenses that are no disc are
 analysed as discs; the radius is that of the disc with the same second moment. The camera is
-that of `benchmarks/camera.py`."""
+that of `benchmarks/camera.py`. *Wide* are mosaics of the sharp pictures with a blur of up to 48 px,
+and sharp things before a ground that is so blurred (`benchmarks/wide.py`)."""
 
 MEASURES_TEXT = """\
 Means over the pictures (times, memory: medians over the runs); the best of a row is bold, but

@@ -2,9 +2,10 @@
 
     python benchmarks/run_all.py [--quick] [--data FOLDER] [--compare OLD.json] [--out FOLDER]
 
-Accuracy on pictures of known blur, on outlined photographs and on real pictures with a known
-answer, the calibration of the confidence, the energy of labels, restoration, time and memory, and
-what each step beyond the paper gains.
+Accuracy on pictures of known blur, of wide blur, on outlined photographs, on pairs of pictures
+whose masks complement each other, and on real pictures with a known answer, the calibration of the
+confidence, the energy of labels, restoration, time and memory, and what each step beyond the paper
+gains.
 Prints one Markdown table. With --out, writes peers.md, ablation.md, their plots and numbers.json
 there: `--out docs/measured` brings the documentation up to date. With --compare, tells what became
 better or worse than in an earlier numbers.json, beyond the spread. All of it takes about 25 minutes
@@ -22,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from ablation import measure_ablation
 from accuracy import measure_accuracy
+from complements import measure_complements
 from energy import measure_energy
 from in_focus import measure_photographs
 from pages import ablation_page, main_table, peers_page
@@ -32,10 +34,21 @@ from record import Record, circumstances, compared, load
 from restoration import as_floats, measure_restoration
 from scenes import groups
 from sizes import measure_sizes
+from wide import measure_wide
 
 from napari_defocus.core.writing import write_results
 
-PARTS = ("accuracy", "photographs", "real", "energy", "restoration", "sizes", "ablation")
+PARTS = (
+    "accuracy",
+    "wide",
+    "photographs",
+    "complements",
+    "real",
+    "energy",
+    "restoration",
+    "sizes",
+    "ablation",
+)
 NUMBERS = "numbers.json"
 QUICK_SOURCES = 2
 ENERGY_SIDE, QUICK_ENERGY_SIDE = 240, 120
@@ -129,7 +142,9 @@ def measurements(
     side = QUICK_ENERGY_SIDE if quick else ENERGY_SIDE
     return {
         "accuracy": lambda: measure_accuracy(groups(sources, quick=quick, seed=seed), record),
+        "wide": lambda: measure_wide(sources, record, quick=quick, seed=seed),
         "photographs": lambda: measure_photographs(photos, record),
+        "complements": lambda: measure_complements(sources, record, quick=quick),
         "real": lambda: measure_real(arguments.real, record),
         "energy": lambda: measure_energy(some, side, record),
         "restoration": lambda: measure_restoration(sharp, record, quick=quick),

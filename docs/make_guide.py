@@ -23,8 +23,6 @@ FOLDER = Path(__file__).parent / "images"
 GUIDE = FOLDER / "guide"
 STRIP = FOLDER / "strip.png"
 WINDOW = (1280, 700)
-TALL = (1280, 1080)
-"""With room for two docks, one below the other."""
 WIDE = (1585, 700)
 """The canvas has the shape of the brushes then, so that the colour bar lies on the map."""
 DOCK_WIDTH = 390
@@ -42,8 +40,8 @@ CAPTION = 34
 STRIP_HEIGHT = 385
 
 BRUSHES = "brushes"
-IN_FOCUS = [((30, 60), (200, 90)), ((40, 140), (190, 190))]
-BLURRED = [((60, 800), (210, 860))]
+IN_FOCUS = [((60, 40), (150, 60)), ((50, 130), (120, 150))]
+BLURRED = [((260, 560), (400, 600))]
 """Strokes that correct the mask of the brushes, from row, column to row, column."""
 
 PLANES, SIDE, TILT = 9, 220, 0.5
@@ -152,7 +150,9 @@ class Session:
         self.wait(0.3)
 
     def page(self, title: str) -> None:
-        """Click on a tab."""
+        """Open a section, and close the others."""
+        for other, section in self.panel.pages.sections.items():
+            section.open(other == title)
         self.panel.pages.show(title)
         self.wait(0.3)
 
@@ -389,7 +389,8 @@ def _measured_brushes(session: Session) -> None:
 
 
 def _paint_seeds(session: Session) -> None:
-    """Press New seeds layer, and paint both labels."""
+    """Include more than is in focus, press New seeds layer, and paint both labels."""
+    session.slide(session.panel.settings.threshold, 3.0)
     session.press(session.panel.seeds_button)
     session.rest()
     seeds = session.viewer.layers["brushes seeds"]
@@ -415,26 +416,23 @@ def mask() -> None:
         guide(
             "threshold",
             beside(*(captioned(each, f"in focus up to {limit} px") for limit, each in shown)),
+            colors=96,
         )
-        session.slide(threshold, 2.0)
         _paint_seeds(session)
         guide("seeds", session.whole())
 
 
 def probe() -> None:
     """Show why the map says what it says at the edge of the dandelion."""
-    from qtpy.QtCore import Qt
-
-    with Session(TALL) as session:
+    with Session(WIDE) as session:
         session.sample("dandelion")
         session.defocus()
         session.measure()
         session.press(session.panel.tools.probe)
         session.wait(0.5)
         probe = session.dock("probe")
-        session.window.resizeDocks([probe.native.parent()], [480], Qt.Vertical)
         session.widen(probe.native.parent(), 560)
-        session.look_at(180, 165, 1.0)
+        session.look_at(180, 165, 1.55)
         session.hover(180, 116)
         session.wait(1.5)
         guide("probe", beside(session.part((0, 0), (400, 330)), session.of(probe)))
@@ -452,7 +450,8 @@ def region() -> None:
         session.panel.reset_choices()
         session.panel.region.value = shapes
         session.measure()
-        session.show_only("dandelion", "dandelion blur (px)", "dandelion in focus", "Shapes")
+        parts = "dandelion (Shapes) blur (px)", "dandelion (Shapes) in focus"
+        session.show_only("dandelion", *parts, "Shapes")
         guide("region", session.whole())
 
 
@@ -487,6 +486,7 @@ def curve() -> None:
         session.panel.image.value = session.viewer.layers["gravel"]
         session.panel.planes.value = "all"
         session.measure()
+        session.page("Stack")
         session.press(session.panel.tools.curve)
         curve = session.dock("focus_curve")
         session.until(lambda: curve.curve is not None and curve._running is None)
@@ -502,10 +502,9 @@ def curve() -> None:
 
 def regions() -> None:
     """Show the table of the regions in focus."""
-    from qtpy.QtCore import Qt
-
-    with Session(TALL) as session:
+    with Session() as session:
         _measured_brushes(session)
+        session.slide(session.panel.settings.threshold, 3.0)
         session.press(session.panel.tools.regions)
         session.rest()
         session.show_only(BRUSHES, "brushes regions")
@@ -515,9 +514,8 @@ def regions() -> None:
         table = session.viewer.window.dock_widgets["Features table widget (napari)"]
         dock = table.parent()
         session.widen(dock, 900)
-        session.window.resizeDocks([dock], [300], Qt.Vertical)
-        session.wait(0.5)
-        guide("regions", beside(shown, session.of(dock)))
+        rows = session.of(dock)
+        guide("regions", beside(shown, rows.crop((0, 0, rows.width, shown.height))))
 
 
 def restored() -> None:
@@ -570,6 +568,7 @@ def strip() -> None:
         mask = session.viewer.layers["brushes in focus"]
         mask.contour, mask.opacity = 0, 0.5
         corrected = session.picture(BRUSHES)
+        session.page("Restore")
         session.press(session.panel.restore_button)
         session.rest()
         session.show_only("brushes all in focus")

@@ -38,7 +38,7 @@ def main(photographs: Path, folder: Path) -> None:
             )
             of_map.set_title(f"{name}: radius, px", loc="left", fontsize=9)
             of_mask.imshow(segment_in_focus(candidates, picture), cmap="gray", vmin=0, vmax=1)
-            of_mask.set_title("up to 2 px", loc="left", fontsize=9)
+            of_mask.set_title("in focus", loc="left", fontsize=9)
         figure.colorbar(image, ax=axes[3], shrink=0.8)
         for each in axes:
             each.set_axis_off()

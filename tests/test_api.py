@@ -76,6 +76,9 @@ PUBLIC = {
     "sharpest_plane",
     "simulate_defocus",
     "simulate_layered_defocus",
+    "focus_threshold",
+    "known_places",
+    "matte_in_focus",
 }
 
 PACKAGE = Path(napari_defocus.__file__).parent

@@ -36,15 +36,17 @@ from napari_defocus.labeling.pixel_refinement import (
     energy_of_pixels,
     interpolate_labels,
 )
+from napari_defocus.likelihood.between_windows import _interpolate
 from napari_defocus.likelihood.blur_spectra import SpectrumTable
 from napari_defocus.likelihood.gabor import _filtered, axis_filters, window_centers
+from napari_defocus.likelihood.ground_beside import _add_between
 from napari_defocus.likelihood.maxima import _pick_maxima, refine_maxima
 from napari_defocus.likelihood.profile_likelihood import (
     noise_power,
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.likelihood.scale_space import _add_level, _interpolate
+from napari_defocus.likelihood.scale_space import _add_level
 from napari_defocus.restoration.deconvolution import _graph_laplacian, _irls_weights
 from napari_defocus.stacks.depth_from_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
 
@@ -484,6 +486,11 @@ def test_curves_between_windows_are_interpolated_and_added():
     gain = np.full((3, 3), 2.0, np.float32)
     keep[0, 0], gain[0, 0] = 1, 0
     _add_level(0, 3, curve, rows, columns, keep, gain, total)
+    some = np.ones((3, 7), np.float32)
+    shares = np.array([1, 0, 2], np.float32)
+    _add_between(0, 3, curve, rows, columns, shares, some)
+    at_places = expected[np.arange(3), np.arange(3)]
+    np.testing.assert_allclose(some, 1 + shares[:, None] * at_places, rtol=1e-5)
     expected = 0.5 + 2 * expected
     expected[0, 0] = 1
     np.testing.assert_allclose(total, expected, rtol=1e-5)

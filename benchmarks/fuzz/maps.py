@@ -150,9 +150,40 @@ def _segmentation(rnd: Random) -> Call:
     seeds = np.zeros(pixels.shape[:2], rnd.choice(["u1", "i4", "i8"]))
     seeds[:3, :3] = 1
     arguments = {"candidates": candidates, "image": odd.laid_out(rnd, pixels)}
-    arguments["threshold"] = rnd.choice([0, 0.5, 0.999])
+    arguments["threshold"] = rnd.choice([0, 0.5, 0.999, "auto"])
     asked = some(rnd, seeds=[odd.laid_out(rnd, seeds)], smoothness=[0, 10, 1e9], color_sigma=[1])
-    return Call(nd.segment_in_focus, arguments | asked, image_like(0, 1, "uint8"))
+    asked |= some(rnd, within=[odd.laid_out(rnd, _marked(rnd, pixels))], unknown=["fill", "leave"])
+    return Call(nd.segment_in_focus, arguments | asked, image_like(0, 2, "uint8"))
+
+
+def _marked(rnd: Random, pixels: np.ndarray) -> np.ndarray:
+    marks = np.zeros(pixels.shape[:2], rnd.choice(["?", "u1", "i4"]))
+    marks[:5, 1:] = 1
+    return marks
+
+
+@recipe("focus_threshold")
+def _threshold(rnd: Random) -> Call:
+    pixels, candidates, _ = any_scene(rnd)
+    arguments = {"candidates": candidates, "image": odd.laid_out(rnd, pixels)}
+    asked = some(rnd, within=[odd.laid_out(rnd, _marked(rnd, pixels))])
+    return Call(nd.focus_threshold, arguments | asked, number_between(0, 3.5))
+
+
+@recipe("known_places")
+def _known(rnd: Random) -> Call:
+    pixels, candidates, _ = any_scene(rnd)
+    arguments = {"candidates": candidates, "image": odd.laid_out(rnd, pixels)}
+    return Call(nd.known_places, arguments, image_like(0, 1, "bool"))
+
+
+@recipe("matte_in_focus")
+def _matte(rnd: Random) -> Call:
+    pixels, _, _ = any_scene(rnd)
+    arguments = {"image": odd.laid_out(rnd, pixels), "mask": _marked(rnd, pixels)}
+    # Without PyMatting, which is no part of the usual installation, it is refused.
+    asked = some(rnd, width=[1, 4, 300])
+    return Call(nd.matte_in_focus, arguments | asked, image_like(0, 1), fine=False)
 
 
 @recipe("confidence_map")

@@ -14,6 +14,15 @@ from .api.maps import (
     label_blur_map as label_blur_map,
 )
 from .api.masks import (
+    focus_threshold as focus_threshold,
+)
+from .api.masks import (
+    known_places as known_places,
+)
+from .api.masks import (
+    matte_in_focus as matte_in_focus,
+)
+from .api.masks import (
     segment_in_focus as segment_in_focus,
 )
 from .api.restoration import (

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import napari_defocus
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.psf import AUTO
-from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
+from napari_defocus.settings import BLOCK_SIZE, THRESHOLD_PLANES, UNKNOWN, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -219,6 +219,58 @@ def label_map(
     )
 
 
+def settled_mask(
+    candidates: Any,
+    image: Any,
+    settings: MaskSettings,
+    intensity_range: IntensityRange | None = None,
+    *,
+    within: NDArray[Any] | None = None,
+    progress: Progress = silent,
+) -> MaskSettings:
+    """Return the settings with the threshold that the picture says, if it was to say it."""
+    if settings.threshold != AUTO:
+        return settings
+    found = napari_defocus.focus_threshold(
+        candidates, image, within=within, intensity_range=intensity_range, progress=progress
+    )
+    return replace(settings, threshold=found)
+
+
+def threshold_of_stack(
+    planes: Sequence[Any], settings: MapSettings, intensity_range: IntensityRange | None = None
+) -> float:
+    """Return one threshold for planes of dask that are measured one by one; some are read now."""
+    import dask
+    import dask.array as da
+
+    from napari_defocus.tiled.psf_of_planes import evenly_spaced
+
+    stack = da.stack([planes[at] for at in evenly_spaced(len(planes), THRESHOLD_PLANES)])
+    axes = "zyxs" if stack.ndim > 3 else "zyx"
+    with dask.config.set(scheduler="synchronous"):
+        candidates = measure_candidates(stack, settings, intensity_range, axes=axes)
+        return napari_defocus.focus_threshold(candidates, stack)
+
+
+def threshold_of_planes(
+    planes: Sequence[NDArray[Any]],
+    settings: MapSettings,
+    within: NDArray[Any] | None = None,
+) -> float:
+    """Return one threshold for all of these planes, which are in memory."""
+    import numpy as np
+
+    from napari_defocus.labeling.focus_threshold import blur_counts, threshold_of_counts
+    from napari_defocus.labeling.problem import LabelingProblem
+
+    found = [measure_candidates(plane, settings) for plane in planes]
+    problems = map(LabelingProblem.of, found, planes)
+    counts = [blur_counts(problem, within) for problem in problems]
+    first = found[0]
+    return threshold_of_counts(np.sum(counts, axis=0), first.scales, first.mode)
+
+
 def segment(
     candidates: BlurCandidates,
     image: NDArray[Any],
@@ -226,6 +278,7 @@ def segment(
     intensity_range: IntensityRange | None = None,
     *,
     seeds: NDArray[Any] | None = None,
+    within: NDArray[Any] | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.uint8]:
     """Return what is in focus."""
@@ -234,9 +287,33 @@ def segment(
         image,
         **asdict(settings),
         seeds=seeds,
+        within=within,
         intensity_range=intensity_range,
         progress=progress,
     )
+
+
+def judged_mask(
+    candidates: BlurCandidates,
+    image: NDArray[Any],
+    settings: MaskSettings,
+    intensity_range: IntensityRange | None = None,
+    *,
+    mask: NDArray[Any],
+    seeds: NDArray[Any] | None = None,
+    within: NDArray[Any] | None = None,
+) -> NDArray[Any]:
+    """Return the mask with what is not known left in it, for shares of what is known."""
+    if settings.unknown == "leave":
+        return mask
+    known = napari_defocus.known_places(candidates, image, intensity_range=intensity_range)
+    if seeds is not None:
+        known |= seeds != 0
+    if within is not None:
+        known &= within != 0
+    judged = mask.copy()
+    judged[~known] = UNKNOWN
+    return judged
 
 
 def restore(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from napari_defocus.core.checks import (
     Linearize,
     Mode,
     Side,
+    Unknown,
     check_aperture,
     check_flag,
     check_focus,
@@ -19,8 +20,9 @@ from napari_defocus.core.checks import (
     check_risk,
     check_side,
     check_softness,
-    check_threshold,
+    check_threshold_or_auto,
     check_tv_weight,
+    check_unknown,
     check_weights,
     check_whole,
 )
@@ -42,6 +44,15 @@ COMPARED_PSFS = (
 
 BLOCK_SIZE = 1024
 """Side, in px, of the parts in which large pictures are worked on. It bounds the memory."""
+
+USUAL_THRESHOLD = 2.0
+"""px: tau of (18) in the paper; up to it, a pixel is in focus where the picture does not tell."""
+
+THRESHOLD_PLANES = 8
+"""Of a stack, in which the threshold of masks is looked for, evenly apart; chosen by hand."""
+
+UNKNOWN = 2
+"""In a mask, what is not known; beside 0, blurred, and 1, in focus."""
 
 CONFIDENT = 0.5
 """A pixel counts as sure from this confidence on."""
@@ -131,22 +142,28 @@ class MaskSettings:
 
     Attributes
     ----------
-    threshold : float
-        tau of (18): the largest blur radius, in px, that counts as in focus.
+    threshold : float or "auto"
+        tau of (18): the largest blur radius, in px, that counts as in focus; "auto" finds it from
+        the picture, see `napari_defocus.focus_threshold`.
     smoothness : float
         lambda_0 of (16) for the mask.
     color_sigma : float
         sigma_lambda of (16) for the mask, as a share of the picture's contrast.
+    unknown : {"fill", "leave"}
+        What becomes of places without an answer of their own, because they have no texture or
+        their confidence is below 0.5: filled from around, or left, as 2 in the mask.
     """
 
-    threshold: float = 2.0
+    threshold: float | Literal["auto"] = "auto"
     smoothness: float = 1000.0
     color_sigma: float = 0.04
+    unknown: Unknown = "fill"
 
     def __post_init__(self) -> None:
         """Refuse impossible values before any work is done with them."""
-        check_threshold(self.threshold, math.inf)
+        check_threshold_or_auto(self.threshold, math.inf)
         check_weights(self.smoothness, self.color_sigma)
+        check_unknown(self.unknown)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -111,7 +111,8 @@ def test_maps_are_those_of_the_functions_and_rows_tell_of_them(photographs, tmp_
         assert row[f"{name}_radius_px"] == pytest.approx(np.percentile(blur_map, percent), abs=0.01)
     assert row["median_confidence"] == pytest.approx(np.median(sure), abs=0.001)
     assert row["share_sure"] == pytest.approx((sure >= 0.5).mean(), rel=1e-5)
-    assert row["share_in_focus"] == pytest.approx(mask.mean(), rel=1e-5)
+    assert row["share_in_focus"] == pytest.approx(mask[sure >= 0.5].mean(), rel=1e-5)
+    assert row["threshold_px"] == napari_defocus.focus_threshold(candidates, picture)
     assert row["noise_variance"] == pytest.approx(candidates.noise_variance, rel=1e-5)
     assert row["source"] == str(photographs / "ramp.png")
 
@@ -130,6 +131,13 @@ def test_stack_is_one_store_with_its_scale_and_a_row_a_plane(stack, tmp_path):
     assert held.attributes["settings"]["stride"] == 8
     second = napari_defocus.estimate_blur_map(tifffile.imread(stack)[1], stride=8)
     np.testing.assert_array_equal(held.levels[0][1].compute(), second)
+    planes = tifffile.imread(stack)
+    candidates = napari_defocus.estimate_candidates(planes, stride=8, axes="zyx")
+    threshold = napari_defocus.focus_threshold(candidates, planes)
+    assert [row["threshold_px"] for row in rows] == [threshold] * 3, "one holds for all planes"
+    masks = read_ome_zarr(tmp_path / "out" / rows[0]["mask"]).levels[0]
+    expected = napari_defocus.segment_in_focus(candidates, planes, threshold=threshold)
+    np.testing.assert_array_equal(masks.compute(), expected)
 
 
 def test_planes_of_a_stack_share_the_lens_that_they_show(tmp_path, grass):
@@ -252,7 +260,7 @@ def test_changed_pictures_and_other_settings_are_measured_again_only_by_force(
     measure_batch(photographs, out, settings=QUICK, force=True)
     assert (contents(out), len(measured)) == (before, 3)
     other = Settings(map=QUICK.map, mask=MaskSettings(threshold=3.0))
-    with pytest.raises(UnwritableResult, match=r"threshold was 2.0 and is 3.0"):
+    with pytest.raises(UnwritableResult, match=r"threshold was auto and is 3.0"):
         measure_batch(photographs, out, settings=other)
     report = measure_batch(photographs, out, settings=other, force=True)
     assert len(measured) == 5
@@ -351,6 +359,7 @@ def test_large_plane_is_measured_in_parts_and_goes_on(tmp_path, grass, monkeypat
     assert row["in_focus"] == "maps/wide-in-focus.tif"
     for name in ("median_radius_px", "share_sure", "p95_radius_px"):
         assert row[name] == pytest.approx(as_one[name], abs=0.03)
+    assert row["threshold_px"] == as_one["threshold_px"]
     found, expected = (
         open_source(folder / "maps" / "wide-blur.tif").data.compute()
         for folder in (tmp_path / "out", tmp_path / "whole")

@@ -67,7 +67,15 @@ def instant(monkeypatch):
     def confidence_map(candidates, blur_map):
         return np.linspace(0, 1, blur_map.size, dtype=np.float32).reshape(blur_map.shape)
 
-    for function in (estimate_candidates, label_blur_map, segment_in_focus, confidence_map):
+    def focus_threshold(candidates, image, **options):
+        calls["threshold"] = options
+        return 2.3
+
+    def known_places(candidates, image, **options):
+        return np.ones(image.shape[:2], bool)
+
+    made = estimate_candidates, label_blur_map, segment_in_focus, confidence_map
+    for function in (*made, focus_threshold, known_places):
         monkeypatch.setattr(napari_defocus, function.__name__, function)
     return calls
 
@@ -107,7 +115,29 @@ def test_segment_writes_a_mask_and_an_overlay(picture):
     assert mask.shape == (80, 96)
     assert set(np.unique(mask)) <= {0, 255}
     assert overlay.shape == (80, 96, 3)
-    assert f"{100 * (mask > 0).mean():.1f} %" in result.stdout
+    assert "in focus     not known anywhere" in result.stdout, "it is a plain piece"
+
+
+def test_segment_leaves_what_is_not_known_and_judges_within_a_file_if_asked(picture):
+    with Image.open(str(SAMPLE)) as sample:
+        sample.crop((480, 140, 576, 220)).save(picture)
+    tissue = np.zeros((80, 96), np.uint8)
+    tissue[:, 48:] = 9
+    Image.fromarray(tissue).save(picture.with_name("tissue.png"))
+    asked = ["--unknown", "leave", "--within", picture.with_name("tissue.png"), "--json"]
+    result = run("segment", picture, *asked)
+    assert result.exit_code == 0, result.output
+    mask = np.asarray(Image.open(picture.with_name("seed-mask.png")))
+    assert (mask[:, :48] == 128).all()
+    facts = json.loads(result.stdout)
+    known = mask != 128
+    assert facts["known_percent"] == pytest.approx(100 * known.mean())
+    assert facts["in_focus_percent"] == pytest.approx(100 * (mask == 255).sum() / known.sum())
+    assert facts["threshold_found"]
+    assert 1 <= facts["threshold_px"] <= 3.5
+    told = run("segment", picture, *asked[:-1], "--force").stdout
+    assert f"% of what is known ({100 * known.mean():.1f} % of the picture), up to" in told
+    assert "px, found from the picture" in told
 
 
 @pytest.mark.parametrize("ending", [".png", ".tif"])
@@ -215,7 +245,7 @@ def test_defaults_are_those_of_the_functions(picture, instant):
     assert instant["map"]["smoothness"] == MapSettings.smoothness
     assert instant["map"]["color_sigma"] == MapSettings.color_sigma
     assert instant["candidates"]["mode"] == MapSettings.mode
-    assert instant["mask"]["threshold"] == MaskSettings.threshold
+    assert instant["mask"]["threshold"] == 2.3, "it is found from the picture"
     assert instant["mask"]["smoothness"] == MaskSettings.smoothness
     assert instant["mask"]["color_sigma"] == MaskSettings.color_sigma
     assert instant["mask"]["seeds"] is None
@@ -250,8 +280,6 @@ def test_lens_and_light_reach_the_function(picture, instant, command):
 
 @pytest.mark.parametrize("psf", ["annulus:0.5", "gaussian"])
 def test_threshold_is_a_blur_radius_whatever_the_lens(picture, instant, psf):
-    assert run("segment", picture, "--psf", psf).exit_code == 0
-    assert instant["mask"]["threshold"] == 2.0
     result = run("segment", picture, "--psf", psf, "--threshold", 1.7, "--force")
     assert result.exit_code == 0, result.output
     assert instant["mask"]["threshold"] == 1.7
@@ -633,7 +661,7 @@ def test_saved_settings_say_nothing_of_what_was_not_used(picture, instant):
     assert run("map", picture, "--psf", "gaussian", "--save-settings", saved).exit_code == 0
     assert json.loads(saved.read_text()).keys() == {"napari_defocus", "unit", "map"}
     assert run("segment", picture, "--settings", saved).exit_code == 0
-    assert instant["mask"]["threshold"] == MaskSettings.threshold
+    assert instant["mask"]["threshold"] == 2.3, "it is found from the picture"
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 
 from napari_defocus.labeling.multigrid import STEPS
 from napari_defocus.labeling.pairwise_term import Blocks
-from napari_defocus.labeling.pixel_refinement import interpolate_labels, label_pixels
+from napari_defocus.labeling.pixel_refinement import cut_pixels, interpolate_labels, label_pixels
 from napari_defocus.likelihood.gabor import window_centers
 
 
@@ -144,3 +144,16 @@ def test_pixel_with_no_block_alike_around_it_keeps_its_label():
     found = interpolate_labels(0.1 * labels, labels, pixels, blocks, 4)
     assert found[17, 21] == pytest.approx(6)
     np.testing.assert_allclose(np.delete(found.ravel(), 17 * 40 + 21), 1, rtol=1e-6)
+
+
+def test_thin_things_of_their_own_colour_stay_in_the_cut():
+    blocks = blocks_of((64, 64))
+    row, column = np.indices((64, 64))
+    true = ((row < 24) | (abs(column - 32) < 2)).astype(np.int32)
+    labels = np.zeros((16, 16), np.int32)
+    labels[:6], labels[:, 8] = 1, 1
+    cost = np.zeros((16, 16, 2), np.float32)
+    cost[..., 0], cost[..., 1] = 10 * labels, 10 * (1 - labels)
+    color = (0.2 + 0.6 * true[..., None]).astype(np.float32)
+    found = cut_pixels(labels, cost, blocks, color, smoothness=1000.0, color_sigma=0.04, reach=30)
+    np.testing.assert_array_equal(found[:60], true[:60])

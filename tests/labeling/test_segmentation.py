@@ -32,7 +32,7 @@ def test_blurred_subject_before_a_sharp_background_is_found(scene):
     assert overlap(mask == 0, inside) > 0.85
 
 
-SWALLOWING = 2e4
+SWALLOWING = 1e5
 """A smoothness at which small things are lost."""
 
 

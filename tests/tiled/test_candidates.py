@@ -16,6 +16,7 @@ from napari_defocus import (
     estimate_blur_map,
     estimate_candidates,
     explain_pixel,
+    focus_threshold,
     label_blur_map,
     labeling_energy,
     restore_all_in_focus,
@@ -103,11 +104,22 @@ def test_mask_of_parts_is_that_of_the_whole(lazy, candidates, picture, seeded):
     seeds = np.zeros(picture.shape, np.uint8)
     seeds[100:140, 300:330] = 1
     seeds = seeds if seeded else None
-    mask = segment_in_focus(lazy, da.from_array(picture), seeds=seeds)
+    mask = segment_in_focus(lazy, da.from_array(picture), seeds=seeds, unknown="leave")
     assert mask.dtype == np.uint8
-    expected = segment_in_focus(candidates, picture, seeds=seeds)
+    expected = segment_in_focus(candidates, picture, seeds=seeds, unknown="leave")
+    assert (expected == 2).any()
     assert 0.05 < expected.mean() < 0.95
     assert (mask.compute() != expected).mean() < 0.005
+
+
+def test_threshold_of_parts_is_exactly_that_of_the_whole(lazy, candidates, picture):
+    within = np.zeros(picture.shape, bool)
+    within[30:290, 150:400] = True
+    for where in (None, within):
+        expected = focus_threshold(candidates, picture, within=where)
+        assert focus_threshold(lazy, da.from_array(picture), within=where) == expected
+    mask = segment_in_focus(lazy, da.from_array(picture), within=within).compute()
+    assert not mask[~within].any()
 
 
 def test_nothing_is_read_before_it_is_asked_for(picture):
@@ -176,10 +188,11 @@ def test_colors_may_be_any_axis(stack, plane_by_plane):
 
 def test_masks_and_confidence_of_a_stack(stack, plane_by_plane):
     candidates = estimate_candidates(stack, axes="zyx")
-    masks = segment_in_focus(candidates, stack)
+    masks, threshold = segment_in_focus(candidates, stack), focus_threshold(candidates, stack)
     assert isinstance(masks, np.ndarray)
     for plane, mask in zip(stack, masks, strict=True):
-        np.testing.assert_array_equal(mask, segment_in_focus(estimate_candidates(plane), plane))
+        alone = segment_in_focus(estimate_candidates(plane), plane, threshold=threshold)
+        np.testing.assert_array_equal(mask, alone, "one threshold holds for all planes")
     radius, sure = estimate_blur_map(stack, axes="zyx", return_confidence=True)
     np.testing.assert_array_equal(radius, plane_by_plane)
     np.testing.assert_allclose(sure, confidence_map(candidates, radius), atol=1e-6)

@@ -12,8 +12,9 @@ from napari.utils.notifications import notification_manager
 from pytestqt.qtbot import QtBot
 
 import napari_defocus
-from napari_defocus import Cancelled, RestorationFit, ShotNoise
+from napari_defocus import Cancelled, RestorationFit, ShotNoise, pipeline
 from napari_defocus.core.intensity import Intensities
+from napari_defocus.settings import USUAL_THRESHOLD
 
 ONLY_WHAT_HANGS = 600_000
 """Milliseconds to wait for what has to come: a busy machine is slow, and that is no mistake."""
@@ -204,6 +205,9 @@ class StandIn:
         self.segmentations.append({"threshold": threshold, **arguments})
         return np.full(candidates.image_shape, self.radius <= threshold, np.uint8)
 
+    def focus_threshold(self, candidates, image, *, progress, **arguments):
+        return USUAL_THRESHOLD
+
     def restore_all_in_focus(self, image, blur_map, *, progress, **arguments):
         self.restorations.append({"image": image, "blur_map": blur_map, **arguments})
         progress("Taking the blur away", 0.5)
@@ -227,10 +231,12 @@ def method(monkeypatch):
         "confidence_map",
         "cautious_blur_map",
         "segment_in_focus",
+        "focus_threshold",
         "restore_all_in_focus",
         "change_focus",
     ):
         monkeypatch.setitem(vars(napari_defocus), name, getattr(stand_in, name))
+    monkeypatch.setattr(pipeline, "threshold_of_planes", lambda *_, **__: USUAL_THRESHOLD)
     return stand_in
 
 

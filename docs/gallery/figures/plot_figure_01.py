@@ -35,7 +35,7 @@ axes[1].set_title("(b) blur map")
 figure.colorbar(shown, ax=axes[1], label="radius (px)", pad=0.01)
 dimmed = np.where(in_focus[..., None] == 1, picture, picture // 5 + 30)
 axes[2].imshow(dimmed)
-axes[2].set_title(f"(c) in focus up to 2 px: {in_focus.mean():.0%} of the picture")
+axes[2].set_title(f"(c) in focus: {in_focus.mean():.0%} of the picture")
 for each in axes:
     each.set_axis_off()
 

@@ -17,7 +17,12 @@ import numpy as np
 from matplotlib import pyplot as plt
 from skimage.data import chelsea
 
-from napari_defocus import estimate_candidates, label_blur_map, segment_in_focus
+from napari_defocus import (
+    estimate_candidates,
+    focus_threshold,
+    label_blur_map,
+    segment_in_focus,
+)
 
 # The folder of this script is the current one while the documentation is built.
 photographs = Path("../photographs")
@@ -38,7 +43,7 @@ for axes, (name, picture) in zip(grid, pictures.items(), strict=True):
     shown = axes[1].imshow(label_blur_map(candidates, picture), vmin=0, vmax=8)
     axes[1].set_title("blur map")
     axes[2].imshow(np.where(in_focus[..., None] == 1, picture, picture // 5 + 30))
-    axes[2].set_title("in focus up to 2 px")
+    axes[2].set_title(f"in focus up to {focus_threshold(candidates, picture)} px")
 for axes in grid.flat:
     axes.set_axis_off()
 figure.colorbar(shown, ax=grid[:, 1], label="radius (px)", location="bottom", shrink=0.9, pad=0.02)

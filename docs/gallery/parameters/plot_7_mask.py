@@ -2,7 +2,8 @@
 Threshold, smoothness and seeds of the mask
 ===========================================
 
-You say how much blur counts as in focus, and seeds correct what is still wrong.
+How much blur counts as in focus is found from the picture, or you say it. Seeds correct what is
+still wrong.
 
 The pictures show the brushes (*Picture 1A*, freespace, CC-BY-4.0), at half their
 size. The mask is cut from the same candidates each time, in a fraction of a second.
@@ -14,7 +15,7 @@ import imageio.v3 as imageio
 import numpy as np
 from matplotlib import pyplot as plt
 
-from napari_defocus import estimate_candidates, segment_in_focus
+from napari_defocus import estimate_candidates, focus_threshold, segment_in_focus
 
 picture = imageio.imread(files("napari_defocus.samples") / "brushes.jpg")
 picture = picture.reshape(354, 2, 450, 2, 3).mean(axis=(1, 3)).astype(np.uint8)
@@ -27,14 +28,28 @@ def draw(settings):
     for each, chosen in zip(axes, settings, strict=True):
         in_focus = segment_in_focus(candidates, picture, **chosen)
         each.imshow(np.where(in_focus[..., None] == 1, picture, picture // 5 + 30))
-        each.set_title(", ".join(f"{name}={value:g}" for name, value in chosen.items()))
+        each.set_title(", ".join(f"{name}={value}" for name, value in chosen.items()))
         each.set_axis_off()
 
 
 # %%
-# **Threshold**: the largest radius that counts as in focus, in px.
+# **Threshold**: the largest radius that counts as in focus, in px. By default it is found from the
+# picture: the sharpest places are in focus, and from there it moves to a blur that few places have.
 
-draw([{"threshold": 0.6}, {"threshold": 1.0}, {"threshold": 2.0}])
+found = focus_threshold(candidates, picture)
+print(f"In focus up to {found} px")
+draw([{"threshold": 0.6}, {"threshold": "auto"}, {"threshold": 3.0}])
+
+# %%
+# **Unknown**: plain places say nothing of their focus. They are filled from around, or left.
+
+figure, axes = plt.subplots(1, 2, figsize=(8.0, 3.3))
+for each, unknown in zip(axes, ("fill", "leave"), strict=True):
+    in_focus = segment_in_focus(candidates, picture, unknown=unknown)
+    each.imshow(np.where(in_focus[..., None] == 1, picture, picture // 5 + 30))
+    each.imshow(np.ma.masked_where(in_focus != 2, in_focus), cmap="Blues", alpha=0.7)
+    each.set_title(f"unknown={unknown}")
+    each.set_axis_off()
 
 # %%
 # **Smoothness**: how much an outline costs. If it is small, outlines fray and small things stay. If

@@ -43,7 +43,7 @@ from napari_defocus.core.checks import (
     check_block_size,
     check_confidence,
     check_flag,
-    check_threshold,
+    check_threshold_or_auto,
 )
 from napari_defocus.core.extras import need_large_extra
 from napari_defocus.core.progress import Cancelled, Progress, duration, silent
@@ -222,7 +222,7 @@ def _checked(plan: BatchPlan) -> BatchPlan:
     """Refuse what cannot be; name a lens so that workers in other folders find it."""
     settings = plan.settings
     check_confidence("min_confidence", plan.min_confidence)
-    check_threshold(settings.mask.threshold, settings.map.family().max_scale)
+    check_threshold_or_auto(settings.mask.threshold, settings.map.family().max_scale)
     check_block_size(plan.block_size)
     if settings.map.psf.lower().endswith(".npz"):
         lens = str(Path(settings.map.psf).absolute())

@@ -33,9 +33,20 @@ from napari_defocus.io.ome_zarr_writer import OmeZarrWriter, Region, aside
 from napari_defocus.io.open import Source, open_source
 from napari_defocus.io.provenance import ALL_IN_FOCUS, signature
 from napari_defocus.io.settings_file import Settings
-from napari_defocus.pipeline import Measurement, lens_of_planes, measure_map, restore, segment, used
+from napari_defocus.labeling.focus_threshold import threshold_in_px
+from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.pipeline import (
+    Measurement,
+    lens_of_planes,
+    measure_map,
+    restore,
+    segment,
+    settled_mask,
+    threshold_of_stack,
+    used,
+)
 from napari_defocus.restoration.all_in_focus import Restoration
-from napari_defocus.settings import BLOCK_SIZE, MapSettings
+from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -84,14 +95,18 @@ class BatchPlan:
         return Restoration(psf, noise_variance, tv_weight, linearize, self.intensity_range)
 
     def counts(
-        self, blur_map: NDArray[Any], confidence: NDArray[Any], mask: NDArray[Any] | None
+        self,
+        blur_map: NDArray[Any],
+        confidence: NDArray[Any],
+        mask: NDArray[Any] | None,
+        threshold: float,
     ) -> PixelCounts:
         """Return what the table needs of a plane, or of a part of it."""
         return count_pixels(
             blur_map,
             confidence,
             mask,
-            threshold=self.settings.mask.threshold,
+            threshold=threshold,
             max_scale=self.settings.map.family().max_scale,
         )
 
@@ -153,8 +168,8 @@ class PlaneTask:
     """A plane to be measured, (H, W[, 3 or 4]), not yet read.
 
     `known` is what its row says whether it fails or not, `results` what it says of where results
-    are; `stack` is the source if restored planes share a range that is found from all of them, and
-    `lens_from` if they share a lens that is.
+    are; `stack` is the source if restored planes share a range that is found from all of them,
+    `lens_from` if they share a lens that is, `threshold_from` if they share a threshold.
     """
 
     plane: da.Array
@@ -166,6 +181,7 @@ class PlaneTask:
     plan: BatchPlan
     stack: Path | None = None
     lens_from: Path | None = None
+    threshold_from: Path | None = None
 
     def map_settings(self) -> MapSettings:
         """Return what shapes the map: with the lens of the stack, which one worker chooses."""
@@ -175,12 +191,34 @@ class PlaneTask:
         path = self.row_path.with_name("lens.json")
         noted = read_note(path)
         if noted is None:
-            source = open_source(self.lens_from)
-            planes = [source.plane(index) for index in source.planes()]
+            planes = _planes_of(self.lens_from)
             chosen = lens_of_planes(planes, settings, self.plan.intensity_range)
             noted = {"psf": settings.settled(chosen.psf).psf}
             write_note(path, noted)
         return replace(settings, psf=noted["psf"])
+
+    def mask_settings(self, picture: NDArray[Any], found: BlurCandidates) -> MaskSettings:
+        """Return what shapes the mask: with the threshold of the picture, or of its stack."""
+        settings, limits = self.plan.settings.mask, self.plan.intensity_range
+        if self.threshold_from is None:
+            return settled_mask(found, picture, settings, limits)
+        return replace(settings, threshold=self.threshold_of_stack())
+
+    def threshold_of_stack(self) -> float:
+        """Return the threshold of the stack, noted by the first worker that needs it."""
+        assert self.threshold_from is not None
+        path = self.row_path.with_name("threshold.json")
+        noted = read_note(path)
+        if noted is None:
+            planes, limits = _planes_of(self.threshold_from), self.plan.intensity_range
+            noted = {"threshold": threshold_of_stack(planes, self.map_settings(), limits)}
+            write_note(path, noted)
+        return float(noted["threshold"])
+
+
+def _planes_of(path: Path) -> list[Any]:
+    source = open_source(path)
+    return [source.plane(index) for index in source.planes()]
 
 
 def look_at(path: Path) -> Source | str:
@@ -197,9 +235,11 @@ def measure_plane(task: PlaneTask) -> Row:
         picture = np.asarray(task.plane.compute(scheduler="synchronous"))
         plan = task.plan
         found = measure_map(picture, task.map_settings(), plan.intensity_range, silent)
-        made = _made_of(found, picture, task)
+        assert found.candidates is not None
+        shaping = task.mask_settings(picture, found.candidates)
+        made = _made_of(found, picture, task, shaping)
         _write(task, made, found, picture)
-        row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan)
+        row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan, shaping)
         row |= task.results | {"careful": _remarks(picture, found)}
         write_note(task.row_path, row)
     except Exception as error:
@@ -219,14 +259,15 @@ def reason(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _made_of(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> dict[str, NDArray[Any]]:
+def _made_of(
+    found: Measurement, picture: NDArray[Any], task: PlaneTask, shaping: MaskSettings
+) -> dict[str, NDArray[Any]]:
     plan = task.plan
     assert found.candidates is not None
     assert found.confidence is not None
     made = {"map": found.trusted(plan.min_confidence), "confidence": found.confidence}
     if "mask" in plan.kinds:
-        mask_settings, limits = plan.settings.mask, plan.intensity_range
-        made["mask"] = segment(found.candidates, picture, mask_settings, limits)
+        made["mask"] = segment(found.candidates, picture, shaping, plan.intensity_range)
     if "in_focus" in plan.kinds:
         made["in_focus"] = with_opacity(_restored(found, picture, task), picture)
     return made
@@ -254,18 +295,19 @@ def _stack_limits(task: PlaneTask) -> Limits:
     noted = read_note(path)
     if noted is not None:
         return Limits(**noted)
-    source = open_source(task.stack)
-    planes = [source.plane(index) for index in source.planes()]
-    found: Limits = limits_of_planes(planes).compute(scheduler="synchronous")
+    found: Limits = limits_of_planes(_planes_of(task.stack)).compute(scheduler="synchronous")
     write_note(path, asdict(found))
     return found
 
 
-def _facts(found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan) -> Row:
+def _facts(
+    found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan, shaping: MaskSettings
+) -> Row:
     assert found.confidence is not None
-    counts = plan.counts(found.blur_map, found.confidence, mask)
-    noise = found.noise_variance
+    threshold, noise = threshold_in_px(shaping), found.noise_variance
+    counts = plan.counts(found.blur_map, found.confidence, mask, threshold)
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
+    facts |= {"threshold_px": threshold}
     return facts | ({} if found.intensities is None else found.intensities.facts())
 
 

@@ -164,6 +164,7 @@ class SourceWork:
                 plan=self.plan,
                 stack=self.input.given.absolute() if self._shares_a_range(source) else None,
                 lens_from=self.input.given.absolute() if self._shares_a_lens else None,
+                threshold_from=self.input.given.absolute() if self._shares_a_threshold else None,
             )
             for index in self.planes
             if index not in self.rows
@@ -173,6 +174,11 @@ class SourceWork:
     def _shares_a_lens(self) -> bool:
         """Whether planes have one lens, which is to be found from some of them."""
         return len(self.planes) > 1 and self.plan.settings.map.psf == AUTO
+
+    @property
+    def _shares_a_threshold(self) -> bool:
+        """Whether planes have one threshold, which is to be found from some of them."""
+        return len(self.planes) > 1 and self.plan.settings.mask.threshold == AUTO
 
     def _shares_a_range(self, source: Source) -> bool:
         """Return whether planes are restored in a range that is found from all of them."""

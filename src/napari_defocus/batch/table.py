@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.io.tiff_pixel_size import MICROMETERS
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT, UNKNOWN
 
 Row = dict[str, Any]
 
@@ -37,7 +37,8 @@ RESULTS = ("map", "confidence", "mask", "in_focus")
 COLUMNS = (
     *("source", "plane", "status", "error", "width", "height"),
     *_RADII.values(),
-    *("share_in_focus", "median_confidence", "share_sure", "careful", "noise_variance"),
+    *("threshold_px", "share_in_focus", "median_confidence", "share_sure", "careful"),
+    "noise_variance",
     *("intensity_low", "intensity_high", "contrast"),
     *("pixel_width_um", "pixel_height_um"),
     *RESULTS,
@@ -49,7 +50,7 @@ class PixelCounts:
     """How many pixels have which radius and which confidence; counts of parts can be added.
 
     Radii are rounded to 0.01 px and confidences to 0.001. Pixels with a confidence of 0.5 or more
-    are `sure`.
+    are `sure`. Of these, so many are in focus.
     """
 
     radii: NDArray[np.int64]
@@ -79,7 +80,7 @@ class PixelCounts:
         }
         return {
             **radii,
-            "share_in_focus": self.in_focus / count if count else None,
+            "share_in_focus": self.in_focus / self.sure if self.sure else None,
             "median_confidence": _percentile(self.confidences, 50, CONFIDENCE_STEP),
             "share_sure": self.sure / count if count else None,
         }
@@ -96,24 +97,26 @@ def count_pixels(
     """Count the pixels of a map, or of a part of it, (H, W) in px.
 
     What is not finite, or has no confidence, such as where a picture is transparent, does not
-    count. Without a mask, radii up to `threshold` are in focus; none is above `max_scale`.
+    count. In focus is only what is sure. Without a mask, radii up to `threshold` are; none is above
+    `max_scale`.
 
     Examples
     --------
     >>> counts = count_pixels(
-    ...     np.array([[1.0, 4.0]]), np.array([[0.9, 0.4]]), None, threshold=2.0, max_scale=8.0)
+    ...     np.array([[1.0, 4.0]]), np.array([[0.9, 0.8]]), None, threshold=2.0, max_scale=8.0)
     >>> counts.facts()["share_in_focus"], (counts + counts).facts()["p95_radius_px"]
     (0.5, 4.0)
     """
     counting = np.isfinite(blur_map) & (confidence > 0)
     radius, sure = blur_map[counting], confidence[counting]
-    focused = radius <= threshold if mask is None else mask[counting] != 0
+    focused = radius <= threshold if mask is None else mask[counting] == 1
+    known = sure >= CONFIDENT if mask is None else (sure >= CONFIDENT) & (mask[counting] != UNKNOWN)
     bins = math.ceil(max_scale / RADIUS_STEP) + 1
     return PixelCounts(
         _histogram(radius, RADIUS_STEP, bins),
         _histogram(sure, CONFIDENCE_STEP, round(1 / CONFIDENCE_STEP) + 1),
-        int(focused.sum()),
-        int((sure >= CONFIDENT).sum()),
+        int((focused & known).sum()),
+        int(known.sum()),
     )
 
 

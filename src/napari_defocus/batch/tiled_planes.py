@@ -20,6 +20,7 @@ from napari_defocus.batch.table import DONE, PixelCounts, Row
 from napari_defocus.core.progress import silent
 from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
+from napari_defocus.psf import AUTO
 
 Region = tuple[slice, slice]
 
@@ -77,11 +78,11 @@ class TiledPlane:
 
         if not self._left:
             return []
-        found, noise = self._measured()
+        found, noise, threshold = self._measured()
         write = delayed(_write, pure=False)
         pieces = iter(cut_together(found, [tile.region for tile in self._left]))
         return [
-            [write(tile, noise, next(pieces)) for tile in row]
+            [write(tile, noise, threshold, next(pieces)) for tile in row]
             for _, row in groupby(self._left, key=lambda tile: tile.region[0].start)
         ]
 
@@ -103,8 +104,8 @@ class TiledPlane:
         note = task.row_path.with_name(name)
         return _TileTask(region, task.index, task.targets, note, task.plan)
 
-    def _measured(self) -> tuple[dict[str, Any], Any]:
-        """Return dask arrays of all that is wanted, and the noise, delayed."""
+    def _measured(self) -> tuple[dict[str, Any], Any, Any]:
+        """Return dask arrays of all that is wanted, the noise, delayed, and the threshold."""
         from napari_defocus.tiled.tile_tasks import Wanted
 
         plan, plane = self.task.plan, self._plane
@@ -118,7 +119,8 @@ class TiledPlane:
             risk=None if restoration is None else restoration.risk,
             mask=plan.settings.mask if "mask" in plan.kinds else None,
         )
-        found = lazy.measure(asked)
+        threshold = self._threshold(lazy)
+        found = lazy.measure(asked, threshold=threshold)
         if restoration is not None:
             noise = restoration.noise_variance
             how = plan.restoration(lazy.psf, settings.noise_variance if noise is None else noise)
@@ -129,7 +131,15 @@ class TiledPlane:
                 confidence=found["confidence"],
                 block_size=block_size,
             )
-        return found, lazy.noise(())
+        return found, lazy.noise(()), threshold
+
+    def _threshold(self, lazy: Any) -> Any:
+        """Return the threshold of masks: as given, that of the stack, or of the plane, delayed."""
+        threshold = self.task.plan.settings.mask.threshold
+        if threshold != AUTO:
+            return threshold
+        task = self.task
+        return lazy.threshold() if task.threshold_from is None else task.threshold_of_stack()
 
 
 def _px(region: Region) -> int:
@@ -143,15 +153,18 @@ def _finished(tile: _TileTask) -> TileNote | None:
     return TileNote(_px(tile.region), PixelCounts.of_note(known["counts"]), known["noise"])
 
 
-def _write(tile: _TileTask, noise: Any, found: dict[str, NDArray[Any]]) -> TileNote:
+def _write(
+    tile: _TileTask, noise: Any, threshold: float, found: dict[str, NDArray[Any]]
+) -> TileNote:
     """Write what was found of a tile, note that it is finished, and return the note."""
     plan, confidence = tile.plan, found["confidence"]
-    counts = plan.counts(found["blur_map"], confidence, found.get("mask"))
+    counts = plan.counts(found["blur_map"], confidence, found.get("mask"), threshold)
     untrusted = confidence < plan.min_confidence
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in tile.targets:
         assert target.writer is not None
         target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
-    known = {"noise_variance": float(noise.known), **noise.intensities.facts()}
+    known = {"noise_variance": float(noise.known), "threshold_px": threshold}
+    known |= noise.intensities.facts()
     write_note(tile.note, {"counts": counts.note(), "noise": known})
     return TileNote(_px(tile.region), counts, known)

@@ -12,7 +12,8 @@ import typer
 import napari_defocus
 from napari_defocus.cli.command import Facts, command
 from napari_defocus.cli.console import complain
-from napari_defocus.cli.option_groups import MapOptions, RestorationOptions
+from napari_defocus.cli.option_groups import MapOptions, RestorationOptions, said_threshold
+from napari_defocus.core.checks import Unknown
 from napari_defocus.core.progress import Progress
 from napari_defocus.settings import BLOCK_SIZE, MaskSettings
 
@@ -89,7 +90,8 @@ def batch(
     workers: int | None = None,
     measuring: MapOptions,
     min_confidence: float = 0.0,
-    threshold: float = MaskSettings.threshold,
+    threshold: str = str(MaskSettings.threshold),
+    unknown: Unknown = MaskSettings.unknown,
     restoring: RestorationOptions,
     settings_file: Path | None = None,
     force: bool = False,
@@ -105,7 +107,7 @@ def batch(
 
     find_sources(inputs)  # what is not there is told before workers start
     restoration, map_settings = restoring.settings(), measuring.settings()
-    mask_settings = _mask_settings(settings_file, threshold)
+    mask_settings = _mask_settings(settings_file, threshold, unknown)
     settings = napari_defocus.Settings(
         map=map_settings, mask=mask_settings, restoration=restoration
     )
@@ -138,9 +140,9 @@ def batch(
     }
 
 
-def _mask_settings(settings_file: Path | None, threshold: float) -> MaskSettings:
+def _mask_settings(settings_file: Path | None, threshold: str, unknown: Unknown) -> MaskSettings:
     """Return what shapes masks: what options do not say is in the settings' file alone."""
     from napari_defocus.io.settings_file import Settings
 
     mask = MaskSettings() if settings_file is None else Settings.load(settings_file).mask
-    return replace(mask, threshold=threshold)
+    return replace(mask, threshold=said_threshold(threshold), unknown=unknown)

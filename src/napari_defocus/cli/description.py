@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from napari_defocus.pipeline import Measurement
-from napari_defocus.settings import CONFIDENT, MapSettings
+from napari_defocus.psf import AUTO
+from napari_defocus.settings import CONFIDENT, UNKNOWN, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,11 +82,18 @@ def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]
     return facts
 
 
-def mask_facts(mask: NDArray[Any], threshold: float) -> dict[str, Any]:
-    """Return what is told about a mask of what is blurred by up to a threshold, in px."""
+def threshold_facts(asked: MaskSettings, used: MaskSettings) -> dict[str, Any]:
+    """Return up to which blur something counts as in focus, and whether the picture said it."""
+    return {"threshold_px": used.threshold, "threshold_found": asked.threshold == AUTO}
+
+
+def mask_facts(judged: NDArray[Any]) -> dict[str, Any]:
+    """Return what is told about a mask in which is left what is not known."""
+    known = judged != UNKNOWN
+    share = float((judged == 1).sum() / known.sum()) if known.any() else None
     return {
-        "in_focus_percent": 100.0 * float((mask != 0).mean()),
-        "threshold_px": float(threshold),
+        "in_focus_percent": None if share is None else 100.0 * share,
+        "known_percent": 100.0 * float(known.mean()),
     }
 
 
@@ -105,6 +113,18 @@ def intensity_lines(facts: Mapping[str, Any]) -> Iterator[str]:
 def _choice_text(choice: Mapping[str, Any]) -> str:
     return (
         f"{choice['psf']} ({'found from' if choice['found'] else 'cannot be told by'} the picture)"
+    )
+
+
+def _mask_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    found = ", found from the picture" if facts["threshold_found"] else ""
+    share, known = facts["in_focus_percent"], facts["known_percent"]
+    if share is None:
+        yield f"in focus     not known anywhere, up to {facts['threshold_px']:.4g} px"
+        return
+    yield (
+        f"in focus     {share:.1f} % of what is known ({known:.1f} % of the picture), "
+        f"up to {facts['threshold_px']:.4g} px{found}"
     )
 
 
@@ -144,16 +164,13 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
     if facts.get("left_out_percent"):
         yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
     if "in_focus_percent" in facts:
-        yield (
-            f"in focus     {facts['in_focus_percent']:.1f} % of the picture (the mask: blur up to "
-            f"{facts['threshold_px']:g} px)"
-        )
+        yield from _mask_lines(facts)
         yield from _mask_against_map(facts)
 
 
 def _mask_against_map(facts: Mapping[str, Any]) -> Iterator[str]:
     """Say if the mask covers most of a picture that the map calls blurred, or the other way."""
-    if "blur_median_px" not in facts:
+    if "blur_median_px" not in facts or facts["in_focus_percent"] is None:
         return
     by_map = facts["blur_median_px"] <= facts["threshold_px"]
     by_mask = facts["in_focus_percent"] >= _HALF

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_type_hints
 
 from napari_defocus.cli.options import SHARED, Entry, entries_in, shown
 from napari_defocus.core.checks import Linearize, Mode
@@ -117,6 +117,16 @@ class Reporting(OptionGroup):
 
     as_json: bool = False
     quiet: bool = False
+
+
+def said_threshold(text: str) -> float | Literal["auto"]:
+    """Return what --threshold says: a number of px, or that the picture shall say it."""
+    if text == "auto":
+        return "auto"
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"threshold is {text}; it takes a number of px, or auto") from None
 
 
 def with_options(

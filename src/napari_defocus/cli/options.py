@@ -111,8 +111,12 @@ map_confidence PATH
     What map --confidence wrote (.tif) together with the --map.
 min_confidence NUMBER
     Leave pixels of a lower confidence out of the map: NaN in the values, grey in the drawing.
-threshold PX
-    Largest blur radius that counts as in focus, in px.
+threshold PX|auto
+    Largest blur radius that counts as in focus, in px; auto finds it from the picture, or from the
+    planes of a stack, and says it.
+unknown
+    What becomes of places that say nothing themselves, without texture or of a confidence below
+    0.5: they are filled from around, or left, grey in the mask.
 tv_weight NUMBER
     How smooth the picture in focus is: large for less noise, small for more detail. If left out, it
     follows from the noise, and from how badly the picture fits its map.

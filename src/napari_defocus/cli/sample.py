@@ -9,11 +9,24 @@ from pathlib import Path
 from typing import Any, Literal
 
 from napari_defocus.cli.command import Facts, command, last_lines
-from napari_defocus.cli.description import lines_of, map_facts, mask_facts, picture_facts
+from napari_defocus.cli.description import (
+    lines_of,
+    map_facts,
+    mask_facts,
+    picture_facts,
+    threshold_facts,
+)
 from napari_defocus.cli.results import Files, check_endings, encoded_maps, encoded_masks
-from napari_defocus.core.checks import Linearize, check_threshold
+from napari_defocus.core.checks import Linearize, check_threshold_or_auto
 from napari_defocus.core.progress import Progress, within
-from napari_defocus.pipeline import label_map, measure_candidates, segment, shares
+from napari_defocus.pipeline import (
+    judged_mask,
+    label_map,
+    measure_candidates,
+    segment,
+    settled_mask,
+    shares,
+)
 from napari_defocus.settings import MapSettings, MaskSettings
 
 SampleName = Literal["dandelion", "brushes"]
@@ -87,16 +100,19 @@ def demonstrate(
     with _folder_for_results(folder):
         settings = MapSettings(psf=psf, shot_noise=shot_noise, linearize=linearize)
         mask_settings = MaskSettings()
-        check_threshold(mask_settings.threshold, settings.family().max_scale)
+        check_threshold_or_auto(mask_settings.threshold, settings.family().max_scale)
         picture = files.read(sample_path("dandelion"), outputs)
         first, second = shares(progress)
         candidates = measure_candidates(picture, settings, None, first)
         found = label_map(candidates, picture, settings, None, within(second, 0.0, 0.5))
-        mask = segment(candidates, picture, mask_settings, progress=within(second, 0.5, 1.0))
+        used = settled_mask(candidates, picture, mask_settings)
+        mask = segment(candidates, picture, used, progress=within(second, 0.5, 1.0))
+        judged = judged_mask(candidates, picture, used, mask=mask)
         contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
         files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))
     facts = picture_facts(Path("dandelion.jpg"), picture, outputs, found, settings)
-    return facts | map_facts(found) | mask_facts(mask, mask_settings.threshold)
+    facts |= map_facts(found) | threshold_facts(mask_settings, used)
+    return facts | mask_facts(judged)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ Mode = Literal["curve", "paper"]
 Spectra = Literal["exact", "fitted"]
 Linearize = Literal["srgb"]
 Side = Literal["far", "near"]
+Unknown = Literal["fill", "leave"]
 
 LARGEST_SOFTNESS = 5.0
 """px; a camera that is softer than that resolves nothing of a window."""
@@ -62,6 +63,12 @@ def check_side(side: str) -> None:
     """Check the name of a side of the focus."""
     if not isinstance(side, str) or side not in get_args(Side):
         raise ValueError(f"side is {side!r}; it takes one of {get_args(Side)}")
+
+
+def check_unknown(unknown: str) -> None:
+    """Check what becomes of places that are not known."""
+    if not isinstance(unknown, str) or unknown not in get_args(Unknown):
+        raise ValueError(f"unknown is {unknown!r}; it takes one of {get_args(Unknown)}")
 
 
 def check_tv_weight(tv_weight: float | None) -> None:
@@ -142,6 +149,15 @@ def check_threshold(threshold: float, max_scale: float) -> None:
         largest = f"to below {max_scale:g} px, the largest radius that is looked for"
         takes = "0 px up" if math.isinf(max_scale) else f"0 {largest}"
         raise ValueError(f"threshold is {threshold}; it takes a blur radius from {takes}")
+
+
+def check_threshold_or_auto(threshold: float | str, max_scale: float) -> None:
+    """Check tau of (18), or the word that lets the picture say it."""
+    if isinstance(threshold, str):
+        if threshold != "auto":
+            raise ValueError(f"threshold is {threshold!r}; it takes a number of px, or 'auto'")
+        return
+    check_threshold(threshold, max_scale)
 
 
 def check_risk(risk: float) -> None:

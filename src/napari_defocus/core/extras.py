@@ -13,3 +13,9 @@ def need_large_extra() -> None:
             f"stacks and large pictures need {', '.join(missing)}: "
             "pip install 'napari-defocus[large]'"
         )
+
+
+def need_matting_extra() -> None:
+    """Raise ImportError, with what to install, if PyMatting is missing."""
+    if find_spec("pymatting") is None:
+        raise ImportError("a soft mask needs pymatting: pip install 'napari-defocus[matting]'")

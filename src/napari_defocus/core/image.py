@@ -50,12 +50,15 @@ class PreparedImage:
         masked. They have the colour of the nearest known pixel. None if all are known.
     intensities : Intensities
         What has become 0 and 1, and the contrast.
+    weight : (H, W) float32 ndarray or None
+        How much the details at each pixel count, from 0 to 1. None if all do.
     """
 
     color: NDArray[np.float32]
     luminance: NDArray[np.float32]
     opaque: NDArray[np.bool_] | None
     intensities: Intensities
+    weight: NDArray[np.float32] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

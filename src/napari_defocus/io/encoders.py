@@ -325,8 +325,12 @@ def _shown_size(height: int, width: int) -> tuple[int, int]:
 
 
 def mask_png(mask: ArrayLike) -> bytes:
-    """Encode a mask, (H, W), 0 out of focus, as an 8-bit grey PNG file: 255 (white) in focus."""
-    return _png(np.where(np.asarray(mask) != 0, 255, 0).astype(np.uint8), "in-focus mask")
+    """Encode a mask, (H, W), as an 8-bit grey PNG file.
+
+    White (255) is in focus, 1; black blurred, 0; grey (128) not known, 2.
+    """
+    grey = np.array([0, 255, 128], np.uint8)
+    return _png(grey[np.asarray(mask).astype(np.uint8)], "in-focus mask")
 
 
 def overlay_png(
@@ -337,12 +341,22 @@ def overlay_png(
     What is out of focus is dimmed, and there is a thin outline around the rest. A picture that
     fills less than half of the `intensity_range`, shown as black and white, is brightened.
     """
-    focused = np.asarray(mask) != 0
+    focused = np.asarray(mask) == 1
     color = shown_colors(prepare_image(image, intensity_range))
     shown = np.where(focused[..., None], color, DIMMED * color)
     shown = np.broadcast_to(shown, (*focused.shape, 3)).copy()
     shown[_outline(focused)] = OUTLINE_COLOR
     return _png(np.rint(255.0 * shown).astype(np.uint8), "drawing: what is in focus")
+
+
+def alpha_png(
+    image: ArrayLike, alpha: ArrayLike, intensity_range: tuple[float, float] | None = None
+) -> bytes:
+    """Encode a picture with an opacity, (H, W) from 0 to 1, as an 8-bit RGBA PNG file."""
+    color = shown_colors(prepare_image(image, intensity_range))
+    opacity = np.asarray(alpha, np.float32)[..., None]
+    shown = np.concatenate([np.broadcast_to(color, (*color.shape[:2], 3)), opacity], axis=2)
+    return _png(np.rint(255.0 * shown).astype(np.uint8), "picture: what is in focus")
 
 
 def _outline(focused: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -100,6 +100,7 @@ def labeled_blur_map(
         jump=JUMP,
         reach=REACH,
         position=position,
+        weight=problem.pixel_weight,
         progress=within(progress, 0.7, 0.9),
     )
     axis = candidates.scales.astype(np.float32)
@@ -122,7 +123,7 @@ def _problem_of_blocks(
     cost = problem.cost(CURVE_WEIGHT)
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, settings.smoothness)
-    return cost, cost * problem.blocks.area[..., None], weights
+    return cost, cost * problem.block_weight[..., None], weights
 
 
 def coarse_problem(
@@ -176,9 +177,10 @@ def labeling_energy(
 ) -> float:
     """Evaluate the energy (14), which `label_blur_map` minimises, for any map.
 
-    Every pixel costs the data term of its label, interpolated between the windows. Every pair of
-    8-neighbours costs the difference of their labels times the weight (16). If two maps of one
-    picture are compared, the one with less energy is the better compromise for these candidates.
+    Every pixel costs the data term of its label, interpolated between the windows, nine times if it
+    shows sharp details itself (`BlurCandidates.sharp`). Every pair of 8-neighbours costs the
+    difference of their labels times the weight (16). If two maps of one picture are compared, the
+    one with less energy is the better compromise for these candidates.
 
     Parameters
     ----------
@@ -231,4 +233,5 @@ def labeling_energy(
         smoothness=smoothness,
         color_sigma=problem.sigma(color_sigma),
         position=problem.position,
+        weight=problem.pixel_weight,
     )

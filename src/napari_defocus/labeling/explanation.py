@@ -421,4 +421,6 @@ def _with_picture(
         centers.append(places - start)
     found = around.intensities if intensity_range is None else intensity_range
     picture = prepare_image(image[tuple(cut)], found)
-    return replace(around, row_centers=centers[0], column_centers=centers[1]), picture
+    sharp = None if around.sharp is None else around.sharp[tuple(cut)]
+    placed = replace(around, row_centers=centers[0], column_centers=centers[1], sharp=sharp)
+    return placed, picture

@@ -23,7 +23,7 @@ from scipy.ndimage import (
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.graph_cuts import Places, fuse
-from napari_defocus.labeling.multigrid import STEPS, positions_of
+from napari_defocus.labeling.multigrid import STEPS, coarser, finer, positions_of
 from napari_defocus.labeling.pairwise_term import Blocks, color_weight, pixel_weights
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 
@@ -31,6 +31,12 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
 ChangeAt = Callable[[Labels, Labels, Places], Float64]
+
+_BESIDE = 17
+"""px, side of the square around a pixel in which a border of squares may be moved to pixels."""
+
+_HELD = np.float32(1e6)
+"""Cost of another label where pixels are not free; data terms are below 1e3."""
 
 
 def label_pixels(
@@ -44,7 +50,7 @@ def label_pixels(
     jump: int,
     reach: int,
     position: Labels | None = None,
-    fixed: Labels | None = None,
+    weight: Float32 | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
 ) -> Labels:
@@ -66,8 +72,8 @@ def label_pixels(
         How far, in px, a boundary may move at once.
     position : (L,) int32 ndarray, optional
         As for `minimize_energy`.
-    fixed : (H, W) int32 ndarray, optional
-        Labels that pixels must have, -1 where they are free.
+    weight : (H, W) float32 ndarray, optional
+        How much D counts at each pixel; 1 by default.
     change_at : callable, optional
         Given the present labels, the offered ones and places in the flat picture, returns D of
         the offer minus D of the present label there, instead of what `cost` says; NaN leaves
@@ -80,16 +86,11 @@ def label_pixels(
     """
     pixels = blocks.spread(labels)
     beside_jump = maximum_filter(labels, 3) - minimum_filter(labels, 3) >= jump
-    if fixed is not None:
-        beside_jump |= blocks.count((fixed >= 0) & (fixed != pixels)) > 0
-        pixels = np.where(fixed >= 0, fixed, pixels)
     if not beside_jump.any():
         return pixels
     near = binary_dilation(beside_jump, iterations=-(-reach // blocks.side))
     free = blocks.spread(near).astype(bool)
     weights = pixel_weights(color, free, color_sigma, smoothness)
-    if fixed is not None:
-        free &= fixed < 0
     position = positions_of(cost, position)
     left = reach
     while left > 0:
@@ -100,12 +101,105 @@ def label_pixels(
             place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
             proposal = _changed(pixels, place, proposal.ravel()[place])
             change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            if weight is not None:
+                change *= weight.ravel()[place]
             if change_at is not None:
                 own = change_at(pixels, proposal, place)
                 change = np.where(np.isnan(own), change, own)
             pixels = fuse(pixels, proposal, place, change, weights, position)
         left //= 2
     return pixels
+
+
+def cut_pixels(
+    labels: Labels,
+    cost: Float32,
+    blocks: Blocks,
+    color: Float32,
+    *,
+    smoothness: float,
+    color_sigma: float,
+    reach: int,
+    fixed: Labels | None = None,
+    weight: Float32 | None = None,
+) -> Labels:
+    """Return the best of two labels for each pixel near the borders between blocks.
+
+    One cut of squares of 2 x 2 px, then one of the pixels beside the border that it found and
+    beside that of the blocks: half the time of a cut of all pixels, for up to 2 % more energy.
+
+    Parameters
+    ----------
+    labels, cost, blocks, color, smoothness, color_sigma
+        See `label_pixels`; labels are 0 and 1.
+    reach : int
+        How far, in px, a border may move: windows see what is sharp from half a side.
+    fixed : (H, W) int32 ndarray, optional
+        Labels that pixels must have, -1 where they are free.
+    weight : (H, W) float32 ndarray, optional
+        How much D counts at each pixel; 1 by default.
+
+    Returns
+    -------
+    (H, W) int32 ndarray
+    """
+    pixels = blocks.spread(labels)
+    border = maximum_filter(labels, 3) != minimum_filter(labels, 3)
+    if fixed is not None:
+        border |= blocks.count((fixed >= 0) & (fixed != pixels)) > 0
+        pixels = np.where(fixed >= 0, fixed, pixels)
+    if not border.any():
+        return pixels
+    near = binary_dilation(border, iterations=-(-reach // blocks.side))
+    free = blocks.spread(near).astype(bool)
+    weights = pixel_weights(color, free, color_sigma, smoothness)
+    if fixed is not None:
+        free &= fixed < 0
+    place = np.flatnonzero(free)
+    zero, one = np.zeros_like(pixels), np.ones_like(pixels)
+    rise = np.zeros(pixels.shape, np.float32)
+    rise.ravel()[place] = _interpolated_change(cost, zero, one, place, *blocks.positions)
+    if weight is not None:
+        rise *= weight
+    squares = np.where(free, _cut_of_squares(pixels, rise, weights, free), pixels)
+    # Thin things are in blocks, but not in squares.
+    beside = _beside_border(squares) | _beside_border(pixels)
+    return _flipped(squares, rise, weights, free & beside)
+
+
+def _beside_border(pixels: Labels) -> NDArray[np.bool_]:
+    return np.asarray(maximum_filter(pixels, _BESIDE) != minimum_filter(pixels, _BESIDE))
+
+
+def _cut_of_squares(
+    pixels: Labels, rise: Float32, weights: Float32, free: NDArray[np.bool_]
+) -> Labels:
+    """Return labels of squares of 2 x 2 px, spread to pixels; those that are not free hold them."""
+    held = np.where(pixels == 1, -_HELD, _HELD)
+    costs = np.stack([np.zeros_like(rise), np.where(free, rise, held)], axis=2)
+    squares, between = coarser(costs, weights, agreed=True)
+    found = _flipped(
+        np.ascontiguousarray(pixels[::2, ::2]),
+        squares[..., 1] - squares[..., 0],
+        between,
+        _any_of_squares(free),
+    )
+    return finer(found, *pixels.shape)
+
+
+def _any_of_squares(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    rows, columns = pixels.shape
+    padded = np.pad(pixels, ((0, rows % 2), (0, columns % 2)))
+    return np.asarray(padded.reshape(-(-rows // 2), 2, -1, 2).any(axis=(1, 3)))
+
+
+def _flipped(labels: Labels, rise: Float32, weights: Float32, free: NDArray[np.bool_]) -> Labels:
+    """Return the best labels, 0 or 1, where they are free: one cut; `rise` is D of 1 minus of 0."""
+    place = np.flatnonzero(free)
+    now = labels.ravel()[place]
+    change = np.where(now == 0, 1, -1) * rise.ravel()[place].astype(np.float64)
+    position = np.arange(2, dtype=np.int32)
+    return fuse(labels, _changed(labels, place, 1 - now), place, change, weights, position)
 
 
 def _changed(values: Labels, place: Places, new: Labels) -> Labels:
@@ -143,14 +237,17 @@ def energy_of_pixels(
     smoothness: float,
     color_sigma: float,
     position: Labels | None = None,
+    weight: Float32 | None = None,
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
+    if weight is None:
+        weight = np.ones(pixels.shape, np.float32)
     sharpness = np.float32(0.5 / color_sigma**2)
     evidence, jumps = np.zeros((2, len(pixels)))
     at = positions_of(cost, position)
     places = blocks.positions
-    found = evidence, jumps
-    in_bands(_energy_of_rows, len(pixels), pixels, cost, at, color, *places, sharpness, *found)
+    given = pixels, cost, at, color, weight
+    in_bands(_energy_of_rows, len(pixels), *given, *places, sharpness, evidence, jumps)
     return float(evidence.sum() + smoothness * jumps.sum())
 
 
@@ -162,6 +259,7 @@ def _energy_of_rows(
     cost: Float32,
     position: Labels,
     color: Float32,
+    counts: Float32,
     row_position: Float64,
     column_position: Float64,
     sharpness: np.float32,
@@ -173,7 +271,8 @@ def _energy_of_rows(
     for i in range(start, stop):
         for j in range(columns):
             label = pixels[i, j]
-            evidence[i] += _interpolated(cost, label, row_position[i], column_position[j])
+            own = _interpolated(cost, label, row_position[i], column_position[j])
+            evidence[i] += counts[i, j] * own
             for down, right in STEPS:
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns and pixels[y, x] != label:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.labeling.data_term import data_term
+from napari_defocus.labeling.data_term import SURE, data_term
 from napari_defocus.labeling.pairwise_term import Blocks, label_positions
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
 from napari_defocus.likelihood.own_side import on_own_side
@@ -90,6 +90,20 @@ class LabelingProblem:
     @cached_property
     def _data_term(self) -> Float32:
         return data_term(self.own)
+
+    @cached_property
+    def pixel_weight(self) -> Float32 | None:
+        """How much the data term counts at each pixel, (H, W); None if once at all."""
+        sharp = self.candidates.sharp
+        return None if sharp is None else 1 + SURE * sharp.astype(np.float32)
+
+    @cached_property
+    def block_weight(self) -> Float32:
+        """How much it counts at all pixels of a block together: (R, C)."""
+        sharp, area = self.candidates.sharp, self.blocks.area
+        if sharp is None:
+            return area
+        return area + SURE * self.blocks.count(sharp).astype(np.float32)
 
     def cost(self, curve_weight: np.float32) -> Float32:
         """Return `data_term`, in the mode "curve" times a weight: (R, C, L)."""

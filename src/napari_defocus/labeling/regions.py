@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.checks import check_real
 from napari_defocus.core.image import given_array
 from napari_defocus.core.writing import write_results
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.labeling.known import checked_within
+from napari_defocus.settings import CONFIDENT, UNKNOWN
 
 MIN_AREA = 16
 """Smaller regions, in px, are left out unless another area is asked for: one block of the map."""
@@ -36,8 +37,8 @@ class RegionTable:
     ----------
     columns : mapping of str to (N,) ndarray
         ``index``, the label; ``part``, "blurred" or "in focus"; ``area_px``, and ``area_um2`` or
-        the like if the size of the pixels is known; ``share_percent`` of the picture; ``row``
-        and ``column`` of the centroid, in px; ``top``, ``left``, ``bottom``, ``right``, the
+        the like if the size of the pixels is known; ``share_percent`` of all that is known;
+        ``row`` and ``column`` of the centroid, in px; ``top``, ``left``, ``bottom``, ``right``, the
         bounding box, in px, whose ends are not in it. With a blur map ``blur_median_px``,
         ``blur_p5_px``, ``blur_p95_px``, its median and percentiles. With a confidence
         ``confidence_mean``, and ``confident_percent``, how much of the region has 0.5 or more.
@@ -87,6 +88,7 @@ def measure_regions(
     pixel_size: float | Sequence[float] | None = None,
     unit: str = "unit",
     min_area: int = MIN_AREA,
+    within: ArrayLike | None = None,
 ) -> tuple[NDArray[np.int32], RegionTable]:
     """Number the regions that are in focus, and measure them.
 
@@ -95,7 +97,8 @@ def measure_regions(
     Parameters
     ----------
     in_focus : (H, W) array_like of bool or integers
-        From `segment_in_focus`: non-zero in focus, 0 blurred.
+        From `segment_in_focus`: 0 blurred, 2 not known, else in focus. What is not known is in no
+        row.
     blur_map : (H, W) array_like, optional
         From `label_blur_map`, in px; NaN is not known.
     confidence : (H, W) array_like, optional
@@ -106,6 +109,8 @@ def measure_regions(
         The unit of `pixel_size`, such as "um". It becomes part of the column's name.
     min_area : int, optional
         Regions of fewer px are left out: they get the label 0 and no row.
+    within : (H, W) array_like of bool or integers, optional
+        What counts, where it is not 0, such as tissue or cells.
 
     Returns
     -------
@@ -133,17 +138,18 @@ def measure_regions(
     """
     from skimage.measure import label
 
-    mask = _checked_mask(in_focus)
+    mask, known = _checked_mask(in_focus, within)
     check_real("min_area", min_area, "a whole number of px from 1 up")
     if not 1 <= min_area < math.inf or min_area != int(min_area):
         raise ValueError(f"min_area is {min_area!r}; it takes a whole number of px from 1 up")
     measures = _Measures.of(mask.shape, blur_map, confidence, pixel_size, unit)
     found = label(mask, connectivity=_EIGHT_NEIGHBOURS)
     labels = _by_area(found, int(min_area))
-    left_out = mask & (labels == 0)
+    left_out = (mask & (labels == 0)) | ~known
     numbers = range(int(labels.max()) + 1)
     parts = [BLURRED] + [IN_FOCUS] * (len(numbers) - 1)
-    return labels, _table(np.where(left_out, -1, labels), numbers, parts, measures)
+    rows = np.where(left_out, -1, labels)
+    return labels, _table(rows, numbers, parts, measures, int(known.sum()))
 
 
 def measure_focus(
@@ -153,11 +159,13 @@ def measure_focus(
     *,
     pixel_size: float | Sequence[float] | None = None,
     unit: str = "unit",
+    within: ArrayLike | None = None,
 ) -> RegionTable:
     """Measure what is blurred (index 0) and what is in focus (index 1), as `measure_regions`."""
-    mask = _checked_mask(in_focus)
+    mask, known = _checked_mask(in_focus, within)
     measures = _Measures.of(mask.shape, blur_map, confidence, pixel_size, unit)
-    return _table(mask.astype(np.int32), range(2), [BLURRED, IN_FOCUS], measures)
+    labels = np.where(known, mask.astype(np.int32), -1)
+    return _table(labels, range(2), [BLURRED, IN_FOCUS], measures, int(known.sum()))
 
 
 def _by_area(found: NDArray[Any], min_area: int) -> NDArray[np.int32]:
@@ -217,14 +225,14 @@ def _percentiles(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _table(
-    labels: NDArray[Any], numbers: range, parts: list[str], measures: _Measures
+    labels: NDArray[Any], numbers: range, parts: list[str], measures: _Measures, known: int
 ) -> RegionTable:
-    """Measure labels from 0 up; -1 is none."""
+    """Measure labels from 0 up; -1 is none. Shares are those of so many known px."""
     from skimage.measure import regionprops
 
     found = {region.label - 1: region for region in regionprops(labels + 1)}
     rows = [
-        {"index": number, "part": part} | _row(found.get(number), labels.size, measures)
+        {"index": number, "part": part} | _row(found.get(number), known, measures)
         for number, part in zip(numbers, parts, strict=True)
     ]
     return RegionTable({name: np.array([row[name] for row in rows]) for name in rows[0]})
@@ -235,7 +243,7 @@ def _row(region: Any, size: int, measures: _Measures) -> dict[str, Any]:
     row: dict[str, Any] = {"area_px": area}
     if measures.pixel_area is not None:
         row[f"area_{measures.unit}2"] = area * measures.pixel_area
-    row["share_percent"] = 100.0 * area / size
+    row["share_percent"] = 100.0 * area / size if size else math.nan
     row["row"], row["column"] = (math.nan, math.nan) if region is None else region.centroid
     box = (0, 0, 0, 0) if region is None else region.bbox
     row |= dict(zip(("top", "left", "bottom", "right"), box, strict=True))
@@ -244,13 +252,19 @@ def _row(region: Any, size: int, measures: _Measures) -> dict[str, Any]:
     return row | measures.at(region.image, region.slice)
 
 
-def _checked_mask(in_focus: ArrayLike) -> NDArray[np.bool_]:
+def _checked_mask(
+    in_focus: ArrayLike, within: ArrayLike | None
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return what is in focus, and what is known and counts."""
     mask = given_array("in_focus", in_focus)
     if mask.dtype.kind not in "bui":
         raise TypeError(f"in_focus has dtype {mask.dtype}; it takes bool or integers")
     if mask.ndim != 2 or not mask.size:
         raise ValueError(f"in_focus has shape {mask.shape}; it takes a mask of (height, width)")
-    return mask != 0
+    known = mask != UNKNOWN if mask.dtype.kind != "b" else np.ones(mask.shape, np.bool_)
+    if within is not None:
+        known &= checked_within(within, mask.shape)
+    return (mask != 0) & known, known
 
 
 def _checked_values(

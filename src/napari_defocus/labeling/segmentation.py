@@ -10,15 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_defocus.core.checks import check_threshold
-from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.progress import Progress, silent
+from napari_defocus.labeling.focus_threshold import settled, threshold_in_px
 from napari_defocus.labeling.graph_cuts import solve_exactly
+from napari_defocus.labeling.known import with_unknown_left
 from napari_defocus.labeling.multigrid import coarser
 from napari_defocus.labeling.pairwise_term import Blocks
-from napari_defocus.labeling.pixel_refinement import label_pixels
+from napari_defocus.labeling.pixel_refinement import cut_pixels
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
 from napari_defocus.labeling.seeds import checked_seeds
-from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.settings import MaskSettings
 
 Float32 = NDArray[np.float32]
@@ -41,6 +41,7 @@ def labeled_mask(
     settings: MaskSettings = MaskSettings(),
     *,
     seeds: ArrayLike | None = None,
+    within: NDArray[np.bool_] | None = None,
     preview: bool = False,
     around: CoarseLabels | None = None,
     progress: Progress = silent,
@@ -50,7 +51,20 @@ def labeled_mask(
     A preview keeps to the blocks of the windows, and takes a fraction of the time. Of a tile of
     a picture, `around` says what the whole picture's blocks want.
     """
-    check_threshold(settings.threshold, float(problem.own.scales[-1]))
+    settings = settled(problem, settings, within)
+    mask = _cut(problem, settings, seeds, preview, around, progress)
+    return with_unknown_left(mask, problem, settings, seeds=seeds, within=within)
+
+
+def _cut(
+    problem: LabelingProblem,
+    settings: MaskSettings,
+    seeds: ArrayLike | None,
+    preview: bool,
+    around: CoarseLabels | None,
+    progress: Progress,
+) -> NDArray[np.uint8]:
+    """Return 1 in focus and 0 blurred, everywhere."""
     blocks, color = problem.blocks, problem.color
     fixed = None if seeds is None else _fixed_labels(checked_seeds(seeds, problem.picture.shape))
     progress(_STEP, 0.0)
@@ -62,17 +76,16 @@ def labeled_mask(
     if preview:
         mask = blocks.spread(labels)
         return (mask if fixed is None else np.where(fixed >= 0, fixed, mask)).astype(np.uint8)
-    mask = label_pixels(
+    mask = cut_pixels(
         labels,
         cost,
         blocks,
         color,
         smoothness=settings.smoothness,
         color_sigma=problem.sigma(settings.color_sigma),
-        jump=1,
-        reach=_reach(problem.own),
+        reach=3 * problem.own.window // 4,
         fixed=fixed,
-        progress=within(progress, 0.5, 1.0, _STEP),
+        weight=problem.pixel_weight,
     )
     progress(_STEP, 1.0)
     return mask.astype(np.uint8)
@@ -84,11 +97,11 @@ def _problem_of_blocks(
     fixed: NDArray[np.int32] | None,
 ) -> tuple[Float32, Float32, Float32]:
     """Return D of (18) for a pixel at each window and for its block, and the blocks' weights."""
-    cost = focus_cost(problem, settings.threshold)
+    cost = focus_cost(problem, threshold_in_px(settings))
     share = 1.0 if problem.own.mode == "paper" else _BLOCK_SHARE
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, share * settings.smoothness)
-    block_cost = cost * problem.blocks.area[..., None]
+    block_cost = cost * problem.block_weight[..., None]
     if fixed is not None:
         block_cost += _seed_cost(fixed, problem.blocks)
     return cost, block_cost, weights
@@ -126,11 +139,6 @@ def _seed_cost(fixed: NDArray[np.int32], blocks: Blocks) -> Float32:
     """
     surplus = blocks.count(fixed == 1) - blocks.count(fixed == 0)
     return _NEVER * np.stack([surplus > 0, surplus < 0], axis=2).astype(np.float32)
-
-
-def _reach(candidates: BlurCandidates) -> int:
-    """Return how far the border may move, in px: windows see what is sharp from half a side."""
-    return 3 * candidates.window // 4
 
 
 def focus_cost(problem: LabelingProblem, threshold: float) -> Float32:

@@ -73,10 +73,12 @@ class AnalysisGrid:
     def mean_over_windows(self, values: NDArray[Any], pad: tuple[int, int], window: int) -> Float32:
         """Return the mean of a quantity over each window, weighted as power is: (r, c)."""
         mean = gaussian_filter(values.astype(np.float32), window / 4 / np.sqrt(2))
-        place = (
-            np.clip(np.rint(centers - extra).astype(int), 0, length - 1)
-            for centers, extra, length in zip(
-                (self.rows, self.columns), pad, values.shape, strict=True
-            )
-        )
-        return mean[np.ix_(*place)]
+        for axis, (centers, extra) in enumerate(zip((self.rows, self.columns), pad, strict=True)):
+            mean = between_pixels(mean, np.clip(centers - extra, 0, values.shape[axis] - 1), axis)
+        return mean
+
+
+def between_pixels(values: Float32, places: Float64, axis: int) -> Float32:
+    """Take values along an axis at places in px; half-way between two pixels, their mean."""
+    low, high = np.floor(places).astype(int), np.ceil(places).astype(int)
+    return np.float32(0.5) * (values.take(low, axis) + values.take(high, axis))

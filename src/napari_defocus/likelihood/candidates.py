@@ -80,6 +80,9 @@ class BlurCandidates:
     direction : (R, C, 2) float32 ndarray or None
         Real and imaginary part of the preferred direction d (`likelihood/signs.py`): near 0 if
         details lie in all directions alike, above about 1.5 where all lie in one.
+    sharp : (H, W) bool ndarray or None
+        Pixels that show sharp details themselves, see `sharp_details`. None in the mode "paper" and
+        of candidates made by hand.
     """
 
     radii: Float32
@@ -100,6 +103,7 @@ class BlurCandidates:
     weight: Float32 | None = None
     strength: Float32 | None = None
     direction: Float32 | None = None
+    sharp: NDArray[np.bool_] | None = None
 
     @property
     def doubt(self) -> str | None:

@@ -34,12 +34,12 @@ from napari_defocus.likelihood.profile_likelihood import (
 from napari_defocus.likelihood.reference import fixed_point_maxima
 from napari_defocus.likelihood.scale_space import (
     Level,
-    halved,
     joined,
     joined_scales,
     level_count,
     strongest,
 )
+from napari_defocus.likelihood.sharp_details import SharpDetails, halved_without
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
 from napari_defocus.likelihood.signs import signs_of
 from napari_defocus.psf.domain import limited, seen_with_pixels
@@ -160,35 +160,68 @@ def candidates_of(
     """
     how = how.for_shape(picture.shape)
     part = picture if within is None else _cut(picture, within)
+    if how.levels == 1:
+        found = _of_one_level(part, how.of_level(0), noise_variance, shot_noise, progress)
+        if how.mode == "paper":
+            return found
+        return replace(found, sharp=_sharp_details(part, noise_variance, shot_noise).inside)
+    levels, details = _levels_of(picture, part, how, noise_variance, shot_noise, progress)
+    start = (0, 0) if within is None else (within[0].start, within[1].start)
+    sharp = details.inside if within is None else details.inside[within]
+    return replace(_joined_candidates(levels, how, start, details), sharp=sharp)
+
+
+def _levels_of(
+    picture: PreparedImage,
+    part: PreparedImage,
+    how: Estimation,
+    noise_variance: float,
+    shot_noise: ShotNoise | None,
+    progress: Progress,
+) -> tuple[list[Level], SharpDetails]:
+    """Return the levels of a picture, the finest of a part of it, and its own sharp details."""
     count = how.levels or 1
-    if count == 1:
-        return _of_one_level(part, how.of_level(0), noise_variance, shot_noise, progress)
     shares = np.cumsum([0, *(4.0**-level for level in range(count))])
     levels: list[Level] = []
+    details: list[SharpDetails] = []
+    hidden = np.zeros(picture.shape, bool)
     for level in range(count):
         report = within_share(progress, *shares[level : level + 2] / shares[-1])
-        less = 4.0**-level
-        shot = shot_noise and replace(
-            shot_noise,
-            read_variance=less * shot_noise.read_variance,
-            gain=less * shot_noise.gain,
-        )
+        noise, shot = 4.0**-level * noise_variance, _less_noise(shot_noise, 4.0**-level)
         seen = part if level == 0 else picture
-        found = _of_one_level(seen, how.of_level(level), less * noise_variance, shot, report)
-        levels.append(Level(seen, found, 2**level))
+        found = _of_one_level(seen, how.of_level(level), noise, shot, report)
+        levels.append(Level(seen, found, 2**level, hidden))
         if level + 1 < count:
-            picture = halved(picture)
-    start = (0, 0) if within is None else (within[0].start, within[1].start)
-    return _joined_candidates(levels, how, start)
+            # Not less than at level 0: a camera's noise is not white.
+            details.append(_sharp_details(picture, noise_variance, shot_noise))
+            picture, hidden = halved_without(picture, details[-1].around | hidden)
+    return levels, details[0]
+
+
+def _less_noise(noise: ShotNoise | None, share: float) -> ShotNoise | None:
+    """Return noise whose variance is a share of what it was."""
+    if noise is None:
+        return None
+    return replace(noise, read_variance=share * noise.read_variance, gain=share * noise.gain)
+
+
+def _sharp_details(
+    picture: PreparedImage, noise_variance: float, shot_noise: ShotNoise | None
+) -> SharpDetails:
+    """Return the sharp details of a level's picture."""
+    noise: float | Float32 = max(noise_variance, picture.rounding_variance)
+    if shot_noise is not None:
+        noise = shot_noise.variance_at(picture.luminance)
+    return SharpDetails.of(picture, noise / picture.intensities.unit**2)
 
 
 def _joined_candidates(
-    levels: list[Level], how: Estimation, start: tuple[int, int]
+    levels: list[Level], how: Estimation, start: tuple[int, int], sharp: SharpDetails
 ) -> BlurCandidates:
     """Return the candidates of all levels; the finest shows the picture from a place in px on."""
     finest = levels[0].candidates
     scales = joined_scales(how.psf.max_scale, how.window, len(levels))
-    curve, weight = joined(levels, scales, start)
+    curve, weight = joined(levels, scales, start, sharp)
     strength = strongest(levels, start)
     joint = replace(
         finest, curve=curve, scales=scales, psf=how.psf, weight=weight, strength=strength
@@ -224,7 +257,7 @@ def _of_one_level(
 ) -> BlurCandidates:
     """Return the candidates of one level: Gabor powers, likelihood curves, their maxima."""
     psf, window, stride, mode = how.psf, how.window, how.stride, how.mode
-    gradient = gradients(picture.evened, picture.opaque, window)
+    gradient = gradients(picture.evened, picture.opaque, window, picture.weight)
     grid = AnalysisGrid.over(picture.shape, window, stride)
     plain = mode == "paper"
     table = _table(picture.shape, how)
@@ -313,9 +346,14 @@ def _opaque_share(
     picture: PreparedImage, grid: AnalysisGrid, pad: tuple[int, int], window: int
 ) -> Float32 | None:
     """Return the share of each window that is opaque, weighted as power is; None if all is."""
-    if picture.opaque is None:
-        return None
-    return grid.mean_over_windows(picture.opaque, pad, window)
+    if picture.weight is None:
+        return (
+            None if picture.opaque is None else grid.mean_over_windows(picture.opaque, pad, window)
+        )
+    share = picture.weight**2
+    if picture.opaque is not None:
+        share *= picture.opaque
+    return grid.mean_over_windows(share, pad, window)
 
 
 def _silence_transparent(

@@ -134,18 +134,30 @@ class Gradients:
     pad: tuple[int, int]
 
 
-def gradients(luminance: Float32, opaque: NDArray[np.bool_] | None, window: int) -> Gradients:
-    """Take both gradients of a picture, (2), mirrored outwards if it is smaller than a window."""
+def gradients(
+    luminance: Float32,
+    opaque: NDArray[np.bool_] | None,
+    window: int,
+    weight: Float32 | None = None,
+) -> Gradients:
+    """Take both gradients of a picture, (2), mirrored outwards if it is smaller than a window.
+
+    They are multiplied by the `weight` of the pixels, (H, W), if it is given.
+    """
     pad = (padding(luminance.shape[0], window), padding(luminance.shape[1], window))
     if any(pad):
         widths = [(amount, amount) for amount in pad]
         luminance = np.pad(luminance, widths, mode="symmetric")
         opaque = None if opaque is None else np.pad(opaque, widths, mode="symmetric")
+        weight = None if weight is None else np.pad(weight, widths, mode="symmetric")
     across = np.diff(luminance, axis=1)
     down = np.diff(luminance, axis=0)
     if opaque is not None:
         across *= opaque[:, 1:] & opaque[:, :-1]
         down *= opaque[1:] & opaque[:-1]
+    if weight is not None:
+        across *= np.float32(0.5) * (weight[:, 1:] + weight[:, :-1])
+        down *= np.float32(0.5) * (weight[1:] + weight[:-1])
     return Gradients(across, down, pad)
 
 

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from napari_defocus.core.image import PreparedImage
+from napari_defocus.likelihood.analysis_grid import between_pixels
 from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.sharp_details import share_of_blocks
 
 Float32 = NDArray[np.float32]
 
@@ -35,6 +37,9 @@ _LEAST_RATIO, _LEAST_STEP = 2.0, 0.5
 """The moved window counts if it is blurred by more than 2 r + 0.5 px: a steep slope of the blur is
 not an edge. With a difference of 1 px instead, bumps lost what edges gained (docs/decisions.md).
 """
+
+_MOSTLY = 0.5
+"""Of a block's pixels: where so many show sharp details themselves, it is the sharper side."""
 
 _LEAST_ENERGY = 1e-12
 """Added to the energy of fine details, so that its logarithm is defined."""
@@ -77,6 +82,9 @@ def asked_windows(
     column = np.clip(np.rint(columns + column_shift), 0, curve.shape[1] - 1).astype(int)
     best = candidates.scales[curve.argmax(axis=2)]
     blurrier = best[row, column] > _LEAST_RATIO * best + _LEAST_STEP
+    if candidates.sharp is not None:
+        centers = candidates.row_centers, candidates.column_centers
+        blurrier &= share_of_blocks(candidates.sharp, *centers, candidates.stride) < _MOSTLY
     return np.where(blurrier, row, rows), np.where(blurrier, column, columns)
 
 
@@ -88,7 +96,9 @@ def _shifts(candidates: BlurCandidates, picture: PreparedImage) -> Float32:
         details[~picture.opaque] = 0
     energy = gaussian_filter(details**2, stride / 2)
     centers = (candidates.row_centers, candidates.column_centers)
-    sampled = energy[np.ix_(*(np.rint(center).astype(int) for center in centers))]
+    sampled = energy
+    for axis, places in enumerate(centers):
+        sampled = between_pixels(sampled, places, axis)
     sampled += max(candidates.noise_variance / picture.intensities.unit**2, _LEAST_ENERGY)
     # Power has the square of the filters' window, of standard deviation N / 4.
     sigma = window / 4 / np.sqrt(2) / stride

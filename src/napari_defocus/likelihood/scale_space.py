@@ -14,6 +14,10 @@ Levels do not say the same, and not all that they say is true:
   than a white spectrum has. So all scales up to 3 px of level 1 (2 px of others) are one class.
 - Windows of coarse levels are wide, and the sharper side wins in them: where a level says "little"
   and the finer one "much", the finer one, which sees less of its surroundings, is right.
+- Sharp details that a finer level shows pixel by pixel are left out of the pictures of coarser
+  ones (`sharp_details`), so that what is in front has no part in what these see of the ground. In
+  and beside such details they have no say; places that are only beside them offer what the ground
+  would say, too (`ground_beside`).
 - Where the finer levels say "little" all around, and the window of a coarse level does not deny it,
   something sharp is before a blurred ground: the level has no say. If its window says "much", what
   looks sharp is noise, as scenes have details of all sizes. Where only some windows of the finer
@@ -31,12 +35,15 @@ from scipy.ndimage import gaussian_filter
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
+from napari_defocus.likelihood.between_windows import between, of_four
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.evidence import evidence_share, limited_below_top
 from napari_defocus.likelihood.exact_spectra import domain_of_window
+from napari_defocus.likelihood.ground_beside import GroundBeside
 from napari_defocus.likelihood.own_side import on_own_side
 from napari_defocus.likelihood.prior import log_prior
+from napari_defocus.likelihood.sharp_details import SharpDetails
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -75,9 +82,13 @@ _AROUND = 1.77
 """Windows: standard deviation of the Gaussian over which windows count as around, that of a
 window's own weights if they lie 4 px apart."""
 
-_MARGIN = 77
+_BESIDE, _FEW, _MANY = 3.0, np.float32(0.05), np.float32(0.2)
+"""px of a level, over which the share of what is hidden is averaged; up to and from which share the
+level has all of its say, and none."""
+
+_MARGIN = 96
 """px of a level that a place sees at most: half a window, half a window that windows move, what
-evidence is averaged over, and the spaces between windows."""
+evidence is averaged over, the spaces between windows, and what makes pixels be left out."""
 
 
 def level_count(shape: tuple[int, int], window: int, largest: float) -> int:
@@ -106,23 +117,6 @@ def joined_scales(largest: float, window: int, levels: int) -> Float64:
     return np.concatenate(parts)
 
 
-def halved(picture: PreparedImage) -> PreparedImage:
-    """Return a picture whose pixels are means of 2 x 2; an odd last row or column is left out."""
-    opaque = None
-    if picture.opaque is not None:
-        opaque = _mean_of_four(picture.opaque.astype(np.float32)) > np.float32(0.5)
-    return PreparedImage(
-        _mean_of_four(picture.color), _mean_of_four(picture.luminance), opaque, picture.intensities
-    )
-
-
-def _mean_of_four(values: Float32) -> Float32:
-    height, width = (length // 2 * 2 for length in values.shape[:2])
-    top, bottom = values[0:height:2], values[1:height:2]
-    pairs = (top[:, 0:width:2] + top[:, 1:width:2]) + (bottom[:, 0:width:2] + bottom[:, 1:width:2])
-    return np.ascontiguousarray(np.float32(0.25) * pairs)
-
-
 @dataclass(frozen=True, eq=False)
 class Level:
     """What one level says.
@@ -134,11 +128,14 @@ class Level:
     candidates : BlurCandidates
         In px of the level.
     side : int
+    hidden : (h, w) bool ndarray
+        What was left out of the picture, as finer levels show it sharp.
     """
 
     picture: PreparedImage
     candidates: BlurCandidates
     side: int
+    hidden: NDArray[np.bool_]
 
     def places(self, row_centers: Float64, column_centers: Float64) -> tuple[Float64, Float64]:
         """Return where places, in px of level 0, lie between the windows, counted in windows."""
@@ -153,7 +150,9 @@ class Level:
         return rows, columns
 
 
-def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tuple[Float32, Float32]:
+def joined(
+    levels: list[Level], scales: Float64, start: tuple[int, int], details: SharpDetails
+) -> tuple[Float32, Float32]:
     """Join the curves of all levels.
 
     Parameters
@@ -164,6 +163,8 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
         Of the joined curve, see `joined_scales`.
     start : (int, int)
         First row and column, in px, that the finest one shows.
+    details : SharpDetails
+        Of the whole picture at the finest level.
 
     Returns
     -------
@@ -179,8 +180,9 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
     anything = unit * _ANYTHING
     total = _on_axis(before, 1, scales, finest.scales, anything)
     octaves = np.zeros(total.shape[:2], np.float32)
-    closed = np.zeros_like(octaves)
-    fine = levels[0]
+    closed, sharply = np.zeros_like(octaves), np.zeros_like(octaves)
+    fine, said = levels[0], before
+    ground = GroundBeside.of(details, at, finest.stride, len(scales))
     for number, level in enumerate(levels[1:], 1):
         little = unit * (_LITTLE_OF_FIRST if number == 1 else _LITTLE)
         own = on_own_side(level.candidates, level.picture)
@@ -189,26 +191,44 @@ def joined(levels: list[Level], scales: Float64, start: tuple[int, int]) -> tupl
             _said_around(before, fine.candidates.scales, anything, 2 * little), axis=2
         )
         if fine.side > 1:
-            around = _between(around, *fine.places(*at))
-        axis = level.candidates.scales
-        shares = (
-            evidence_share(own),
-            _share_below(plain, axis, little, prior=False),
-            _share_below(limited_below_top(level.candidates.curve), axis, little, prior=False),
-        )
-        here = _between(np.stack(shares, axis=2), *level.places(*at))
+            around = between(around, *fine.places(*at))
+        here = between(_said_here(level, own, plain, little), *level.places(*at))
         closed = np.maximum(closed, np.clip((around[..., 0] - _SOME) / (_ALL - _SOME), 0, 1))
-        free = 1 - closed * here[..., 2]
+        sharply = np.maximum(sharply, _beside_hidden(level, at))
+        free = 1 - np.maximum(closed * here[..., 2], sharply)
         much = here[..., 0] * free * (1 - here[..., 1])
         spilled = here[..., 1] * np.minimum(_SURELY_MUCH * around[..., 1], 1)
         gain = _SAY * here[..., 0] * free * (1 - spilled)
         keep = 1 - much * _share_below(total, scales, anything * level.side / 2)
         curve = _on_axis(plain, level.side, scales, level.candidates.scales, anything, little)
         in_bands(_add_level, len(total), curve, *level.places(*at), keep, gain, total)
+        ground.add(curve, *level.places(*at), _SAY * here[..., 0])
         octaves += much * _octaves(number, last=number == len(levels) - 1)
         before, fine = plain, level
     total -= total.max(axis=2, keepdims=True)
+    ground.offered(total, said, scales, anything)
     return total, ((1 + octaves) ** -2).astype(np.float32)
+
+
+def _said_here(level: Level, own: BlurCandidates, plain: Float32, little: float) -> Float32:
+    """Return how far a level has evidence, and how surely it says "little": (r, c, 3).
+
+    On each place's own side, whose curves are `plain`, and last by windows that are not moved.
+    """
+    axis, unmoved = level.candidates.scales, limited_below_top(level.candidates.curve)
+    says = (_share_below(curve, axis, little, prior=False) for curve in (plain, unmoved))
+    return np.stack([evidence_share(own), *says], axis=2)
+
+
+def _beside_hidden(level: Level, at: tuple[Float64, Float64]) -> Float32:
+    """Return how surely places, in px of level 0, are in or beside what a level hides: (R, C)."""
+    density = gaussian_filter(level.hidden.astype(np.float32), _BESIDE, truncate=3.0)
+    rows, columns = (
+        np.clip((places + 0.5) / level.side - 0.5, 0, length - 1)
+        for places, length in zip(at, level.hidden.shape, strict=True)
+    )
+    found = between(density[..., None], rows, columns)[..., 0]
+    return np.clip((found - _FEW) / (_MANY - _FEW), 0, 1)
 
 
 def _octaves(level: int, *, last: bool) -> np.float32:
@@ -231,7 +251,7 @@ def strongest(levels: list[Level], start: tuple[int, int]) -> Float32:
     at = finest.row_centers + start[0], finest.column_centers + start[1]
     found = _strength(levels[0])
     for level in levels[1:]:
-        coarse = _between(_strength(level)[..., None], *level.places(*at))
+        coarse = between(_strength(level)[..., None], *level.places(*at))
         found = np.maximum(found, coarse[..., 0])
     return found
 
@@ -326,28 +346,6 @@ def _said_around(
     return first, second
 
 
-def _between(values: Float32, rows: Float64, columns: Float64) -> Float32:
-    """Interpolate between windows: (r, c, n) at R rows and C columns to (R, C, n)."""
-    found = np.empty((len(rows), len(columns), values.shape[2]), np.float32)
-    in_bands(_interpolate, len(rows), np.ascontiguousarray(values), rows, columns, found)
-    return found
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _interpolate(
-    start: int, stop: int, values: Float32, rows: Float64, columns: Float64, found: Float32
-) -> None:
-    height, width, count = values.shape
-    for i in range(start, stop):
-        top = min(int(rows[i]), max(height - 2, 0))
-        bottom, down = min(top + 1, height - 1), np.float32(rows[i] - top)
-        for j in range(len(columns)):
-            left = min(int(columns[j]), max(width - 2, 0))
-            right, along = min(left + 1, width - 1), np.float32(columns[j] - left)
-            for k in range(count):
-                found[i, j, k] = _of_four(values, top, bottom, left, right, down, along, k)
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
 def _add_level(
     start: int,
@@ -371,23 +369,5 @@ def _add_level(
             if gained == 0 and kept == 1:
                 continue
             for k in range(count):
-                said = _of_four(curve, top, bottom, left, right, down, along, k)
+                said = of_four(curve, top, bottom, left, right, down, along, k)
                 total[i, j, k] = kept * total[i, j, k] + gained * said
-
-
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def _of_four(
-    values: Float32,
-    top: int,
-    bottom: int,
-    left: int,
-    right: int,
-    down: np.float32,
-    along: np.float32,
-    k: int,
-) -> np.float32:
-    """Interpolate between four windows; `down` and `along` are the place between them, 0 to 1."""
-    upper, lower = values[top, left, k], values[bottom, left, k]
-    upper += along * (values[top, right, k] - upper)
-    lower += along * (values[bottom, right, k] - lower)
-    return upper + down * (lower - upper)

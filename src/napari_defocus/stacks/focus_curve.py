@@ -16,12 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.checks import check_confidence, check_real
 from napari_defocus.core.image import given_array
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.settings import CONFIDENT, MaskSettings
+from napari_defocus.settings import CONFIDENT, UNKNOWN, USUAL_THRESHOLD
 
 Float64 = NDArray[np.float64]
 
 COLUMNS = ("share_in_focus", "median_radius_px", "median_confidence", "share_sure")
 """Columns of the table that `FocusCurve.save` writes, after those of the plane."""
+
+_LEAST_KNOWN = 0.01
+"""Of a plane: if less is known, its share in focus is not."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,7 +34,8 @@ class FocusCurve:
     Attributes
     ----------
     share_in_focus : (...) float64 ndarray
-        The share of the plane's pixels, from 0 to 1; NaN for a plane of which nothing is known.
+        The share of the plane's known pixels, from 0 to 1, see `focus_curve`. NaN for a plane of
+        which less than 1 % is known.
     median_radius : (...) float64 ndarray
         In px; NaN as above.
     median_confidence : (...) float64 ndarray or None
@@ -49,12 +53,14 @@ class FocusCurve:
     def best(self) -> tuple[int, ...] | None:
         """Index of the plane with the most in focus; the least median radius decides a tie.
 
-        None if nothing is known of any plane.
+        A plane counts as far as it is known. None if nothing is known of any plane.
         """
         known = np.isfinite(self.share_in_focus)
         if not known.any():
             return None
-        most = self.share_in_focus == self.share_in_focus[known].max()
+        share = 1.0 if self.share_sure is None else self.share_sure
+        amount = self.share_in_focus * share
+        most = amount == amount[known].max()
         radius = np.where(most, self.median_radius, np.inf)
         return tuple(int(at) for at in np.unravel_index(radius.argmin(), radius.shape))
 
@@ -103,7 +109,8 @@ def focus_curve(
     *,
     in_focus: ArrayLike | None = None,
     confidence: ArrayLike | None = None,
-    threshold: float = MaskSettings.threshold,
+    within: ArrayLike | None = None,
+    threshold: float = USUAL_THRESHOLD,
     min_confidence: float = CONFIDENT,
     progress: Progress = silent,
 ) -> FocusCurve:
@@ -113,8 +120,9 @@ def focus_curve(
 
     .. math:: \frac{1}{|K|} \, \left|\{\mathbf{x} \in K: r[\mathbf{x}] \le \tau\}\right|
 
-    where :math:`\tau` is `threshold`; with a mask, the share of the mask. Planes are read one at a
-    time, so that the stack may be larger than memory.
+    where :math:`\tau` is `threshold`; with a mask, the share of the mask. With a confidence, only
+    what is sure is known. Planes are read one at a time, so that the stack may be larger than
+    memory.
 
     Parameters
     ----------
@@ -123,15 +131,18 @@ def focus_curve(
         anything else with a shape whose planes are read by their index, will do. NaN and infinite
         values are unknown pixels: they do not count.
     in_focus : (..., H, W) array_like, optional
-        Masks, such as those of `segment_in_focus`: 0 is blurred, all else in focus. Without masks,
-        what is blurred by `threshold` or less is in focus.
+        Masks, such as those of `segment_in_focus`: 0 is blurred, 2 is not known, all else in
+        focus. Without masks, what is blurred by `threshold` or less is in focus.
     confidence : (..., H, W) array_like, optional
         Confidences, such as `confidence_map` makes of every plane, from 0 to 1. Pixels where it
-        is 0, such as those outside of an analysed region, do not count at all.
+        is 0, such as those outside of an analysed region, do not count at all. Below
+        `min_confidence`, it is not known whether they are in focus.
+    within : (H, W) or (..., H, W) array_like, optional
+        What counts, where it is not 0: a mask or labels, such as of tissue or cells.
     threshold : float, optional
         In px, from 0 up; not used if there are masks.
     min_confidence : float, optional
-        The least confidence of a sure pixel.
+        The least confidence of a pixel that is sure, and known.
     progress : callable, optional
         Called with a step's name and the share that is done, after every plane.
 
@@ -168,17 +179,18 @@ def focus_curve(
         )
     masks = _like("in_focus", in_focus, maps)
     sure = _like("confidence", confidence, maps)
+    where = None if within is None else _within(within, maps)
     found = np.full((4, *maps.shape[:-2]), np.nan)
     count = math.prod(maps.shape[:-2])
     for number, at in enumerate(np.ndindex(maps.shape[:-2])):
         progress("Reading the planes", number / count)
-        found[(slice(None), *at)] = _of_plane(
+        plane = _Plane(
             given_array("blur_maps", maps[at]),
             None if masks is None else np.asarray(masks[at]),
             None if sure is None else np.asarray(sure[at]),
-            threshold,
-            min_confidence,
+            None if where is None else np.asarray(where[at if where.ndim > 2 else ...]) != 0,
         )
+        found[(slice(None), *at)] = plane.values(threshold, min_confidence)
     shares, radii, confidences, sures = found
     if sure is None:
         return FocusCurve(share_in_focus=shares, median_radius=radii)
@@ -190,26 +202,49 @@ def focus_curve(
     )
 
 
-def _of_plane(
-    blur_map: NDArray[Any],
-    mask: NDArray[Any] | None,
-    confidence: NDArray[Any] | None,
-    threshold: float,
-    min_confidence: float,
-) -> tuple[float, float, float, float]:
-    """Return the four values of a plane; NaN for those that nothing is known of."""
-    counts = np.isfinite(blur_map)
-    if confidence is not None:
-        counts &= confidence > 0
-    if not counts.any():
-        return math.nan, math.nan, math.nan, math.nan
-    radius = blur_map[counts]
-    focused = radius <= threshold if mask is None else mask[counts] != 0
-    share, median = float(focused.mean()), float(np.median(radius))
-    if confidence is None:
-        return share, median, math.nan, math.nan
-    sure = confidence[counts]
-    return share, median, float(np.median(sure)), float((sure >= min_confidence).mean())
+@dataclass(frozen=True, eq=False)
+class _Plane:
+    """What is known of a plane, (H, W) each."""
+
+    blur_map: NDArray[Any]
+    mask: NDArray[Any] | None
+    confidence: NDArray[Any] | None
+    within: NDArray[np.bool_] | None
+
+    def values(self, threshold: float, min_confidence: float) -> tuple[float, float, float, float]:
+        """Return the four values of the plane; NaN for those that nothing is known of."""
+        counts = np.isfinite(self.blur_map)
+        if self.within is not None:
+            counts &= self.within
+        if self.confidence is not None:
+            counts &= self.confidence > 0
+        if not counts.any():
+            return math.nan, math.nan, math.nan, math.nan
+        known, focused = counts.copy(), self.blur_map <= np.float64(threshold)
+        if self.mask is not None:
+            unknown = self.mask == UNKNOWN if self.mask.dtype.kind != "b" else False
+            known, focused = known & ~np.asarray(unknown), self.mask != 0
+        if self.confidence is not None:
+            known &= self.confidence >= min_confidence
+        enough = known.sum() >= _LEAST_KNOWN * counts.sum()
+        share = float(focused[known].mean()) if enough else math.nan
+        median = float(np.median(self.blur_map[counts]))
+        if self.confidence is None:
+            return share, median, math.nan, math.nan
+        sure = self.confidence[counts]
+        return share, median, float(np.median(sure)), float((sure >= min_confidence).mean())
+
+
+def _within(within: Any, maps: Any) -> Any:
+    """Return what counts, of each plane or of all."""
+    marks = _stack("within", within)
+    shapes = tuple(maps.shape), tuple(maps.shape[-2:])
+    if tuple(marks.shape) not in shapes:
+        raise ValueError(
+            f"within has shape {tuple(marks.shape)}; it takes that of blur_maps, {shapes[0]}, or "
+            f"of its planes, {shapes[1]}"
+        )
+    return marks
 
 
 def _stack(name: str, array: Any) -> Any:

@@ -25,21 +25,25 @@ from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.psf_choice import PSFChoice
 from napari_defocus.likelihood.scale_space import joined_scales
 from napari_defocus.likelihood.shot_noise import ShotNoise
+from napari_defocus.psf import AUTO
 from napari_defocus.psf.families import PSFFamily
-from napari_defocus.settings import RestorationSettings
+from napari_defocus.settings import THRESHOLD_PLANES, RestorationSettings
 from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
 from napari_defocus.tiled.plane_noise import noise_of_plane
+from napari_defocus.tiled.psf_of_planes import evenly_spaced
 from napari_defocus.tiled.tile_graph import Key, TileGraph, after, pixels, placed
 from napari_defocus.tiled.tile_tasks import (
     Noise,
     Wanted,
+    blur_pass,
     coarse_pass,
     confidence_pass,
     join_cells,
     label_cells,
     measure_tile,
     noise_with_variance,
+    threshold_of_tiles,
     windows_of_tile,
 )
 from napari_defocus.tiled.tiles import Tile, Tiling
@@ -111,11 +115,49 @@ class LazyCandidates:
         """The best maxima of the likelihood in px, (..., R, C, 3): as `curve`."""
         return self._of_windows("radii", CANDIDATES, search=self.estimation.search)
 
-    def measure(self, wanted: Wanted, seeds: Any = None) -> dict[str, Any]:
-        """Return all results that are wanted, by name: a dask array (..., H, W) each."""
-        return self.planes.each(
-            lambda index: self._measured(index, wanted, None if seeds is None else seeds[index])
-        )
+    def measure(
+        self, wanted: Wanted, seeds: Any = None, within: Any = None, threshold: Any = None
+    ) -> dict[str, Any]:
+        """Return all that is asked for, by name: a dask array (..., H, W) each.
+
+        `threshold` is that of masks as `threshold` returns it, if it was asked for before.
+        """
+        if threshold is None and wanted.mask is not None and wanted.mask.threshold == AUTO:
+            threshold = self.threshold(within)
+
+        def of_plane(index: Index) -> dict[str, Any]:
+            known, where = (None if one is None else one[index] for one in (seeds, within))
+            return self._measured(index, wanted, known, where, threshold)
+
+        return self.planes.each(of_plane)
+
+    def threshold(self, within: Any = None) -> Delayed:
+        """Return up to which blur all planes count as in focus, delayed.
+
+        It is found from all of a picture, and from up to eight planes of a stack, evenly apart.
+        """
+        planes = list(np.ndindex(self.plane_shape))
+        some = evenly_spaced(len(planes), THRESHOLD_PLANES)
+        counted = [self._blur_counts(planes[number], within) for number in some]
+        graph = TileGraph("threshold", counted)
+        found = threshold_of_tiles, counted, self.scales, self.estimation.mode
+        return graph.value(graph.add("of planes", *found))
+
+    def threshold_now(self, image: Any, within: Any, progress: Progress) -> float:
+        """Return the threshold as a number."""
+        self.planes.check_same(image)
+        return float(run_tasks(self.threshold(self._belonging("within", within)), progress))
+
+    def _blur_counts(self, index: Index, within: Any) -> Delayed:
+        plane, noise = self.planes.plane(index), self.noise(index)
+        where = None if within is None else within[index]
+        read = after(plane, noise) if isinstance(noise, Delayed) else plane
+        graph = TileGraph("blur", read, noise, where, self._made_with)
+        keys = []
+        for tile, place in placed(self._tiling.tiles(coarse=True)):
+            seen = pixels(read, tile.seen), _part_of(where, tile), tile
+            keys.append(graph.add(place, blur_pass, *seen, noise, self._frugal))
+        return graph.value(graph.add("all", _added, keys))
 
     def with_noise(self, progress: Progress = silent) -> LazyCandidates:
         """Return the same candidates, with the noise of every plane found now, once for all.
@@ -145,7 +187,13 @@ class LazyCandidates:
         return delayed(noise_with_variance)(self.planes.plane(index), self.estimation, noise)
 
     def results(
-        self, image: Any, progress: Progress, *, seeds: Any = None, **asked: Any
+        self,
+        image: Any,
+        progress: Progress,
+        *,
+        seeds: Any = None,
+        within: Any = None,
+        **asked: Any,
     ) -> dict[str, Any]:
         """Return what `Wanted` asks for, by name, as the user wants it.
 
@@ -154,12 +202,16 @@ class LazyCandidates:
         Raises
         ------
         ValueError
-            If `image` is another one than that of the candidates, or `seeds` have another shape.
+            If `image` is another one than that of the candidates, or `seeds` or `within` have
+            another shape.
         """
         self.planes.check_same(image)
         known = None if seeds is None else self.planes.belonging("seeds", seeds, "ui")
-        found = self.measure(Wanted(**asked), known)
+        found = self.measure(Wanted(**asked), known, self._belonging("within", within))
         return run_tasks(found, progress) if self.planes.in_memory else found
+
+    def _belonging(self, name: str, marks: Any) -> Any:
+        return None if marks is None else self.planes.belonging(name, marks, "bui")
 
     def judged(self, blur_map: Any, risk: float = RestorationSettings.risk) -> dict[str, Any]:
         """Return `confidence_map` and `cautious_blur_map` of any map, (..., H, W), by name."""
@@ -201,18 +253,24 @@ class LazyCandidates:
             return Noise(self.noise_variance)
         return noise_of_plane(self.planes.plane(index), self.noise_variance, self.estimation)
 
-    def _measured(self, index: Index, wanted: Wanted, seeds: Any) -> dict[str, Any]:
+    def _measured(
+        self, index: Index, wanted: Wanted, seeds: Any, within: Any, threshold: Any
+    ) -> dict[str, Any]:
         plane, noise = self.planes.plane(index), self.noise(index)
         cells = None
+        how = noise, self._frugal, wanted, threshold
         if not self._tiling.alone:
-            read = after(plane, noise) if isinstance(noise, Delayed) else plane
-            cells = self._labels_of_cells(read, noise, wanted, seeds)
+            before = next((one for one in (threshold, noise) if isinstance(one, Delayed)), None)
+            read = plane if before is None else after(plane, before)
+            cells = self._labels_of_cells(read, seeds, *how)
             plane = after(plane, cells)
         tiles = self._tiling.tiles()
-        graph = TileGraph("measured", plane, noise, seeds, cells, self._made_with, wanted)
+        made_of = plane, noise, seeds, within, cells, self._made_with, wanted, threshold
+        graph = TileGraph("measured", *made_of)
         for tile, place in placed(tiles):
-            seen = pixels(plane, tile.seen), _seeds_of(seeds, tile), tile, self._tiling.levels
-            graph.add(place, measure_tile, *seen, cells, noise, self._frugal, wanted)
+            given = (_part_of(one, tile) for one in (seeds, within))
+            seen = pixels(plane, tile.seen), *given, tile, self._tiling.levels
+            graph.add(place, measure_tile, *seen, cells, *how)
         return {
             name: graph.blended(name, tiles)
             if dtype is np.float32
@@ -220,18 +278,17 @@ class LazyCandidates:
             for name, dtype in wanted.dtypes.items()
         }
 
-    def _labels_of_cells(self, plane: Any, noise: Any, wanted: Wanted, seeds: Any) -> Any:
+    def _labels_of_cells(self, plane: Any, seeds: Any, *how: Any) -> Any:
         """Return the labels of the whole plane's cells, delayed."""
-        graph = TileGraph("coarse", plane, noise, seeds, self._made_with, wanted)
+        graph = TileGraph("coarse", plane, seeds, self._made_with, *how)
         tiles, levels = self._tiling.tiles(coarse=True), self._tiling.levels
-        how = noise, self._frugal, wanted
         rows: list[Any] = []
         for number, line in enumerate(tiles):
             # Row after row: all at once, dask would read the whole plane before much is done.
             before = rows[-2] if number > 1 else None
             costs = []
             for column, tile in enumerate(line):
-                seen = pixels(plane, tile.seen), _seeds_of(seeds, tile), tile, levels
+                seen = pixels(plane, tile.seen), _part_of(seeds, tile), tile, levels
                 costs.append(graph.add((number, column), coarse_pass, *seen, *how, after=before))
             last = rows[-1] if rows else None
             rows.append(graph.add(("row", number), join_cells, costs, 1, after=last))
@@ -258,5 +315,9 @@ class LazyCandidates:
         return self.planes.each(of_plane)[name]
 
 
-def _seeds_of(seeds: Any, tile: Tile) -> Any:
-    return None if seeds is None else pixels(seeds, tile.pixels)
+def _part_of(array: Any, tile: Tile) -> Any:
+    return None if array is None else pixels(array, tile.pixels)
+
+
+def _added(counts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    return np.sum(counts, axis=0)

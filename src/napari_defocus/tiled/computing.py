@@ -15,7 +15,7 @@ _THREADS = min(4, os.cpu_count() or 1)
 
 _STEP = "Measuring part by part"
 
-_TIMES = {"measured-": 1.0, "coarse-": 0.4, "noise-": 0.02, "intensities-": 0.01}
+_TIMES = {"measured-": 1.0, "coarse-": 0.4, "blur-": 0.35, "noise-": 0.02, "intensities-": 0.01}
 _SHORT = 0.002
 """Seconds that all other tasks take. The share that is done is one of time, so that the rest can be
 predicted.

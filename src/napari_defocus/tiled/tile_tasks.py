@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.core.checks import Mode
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, found_intensities
 from napari_defocus.labeling.blur_map import coarse_problem, extrapolated, labeled_blur_map
 from napari_defocus.labeling.confidence import confidence_and_caution, map_confidence
+from napari_defocus.labeling.focus_threshold import blur_counts, threshold_of_counts
 from napari_defocus.labeling.graph_cuts import minimize_energy, solve_exactly
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
 from napari_defocus.labeling.segmentation import coarse_mask_problem, labeled_mask
@@ -127,6 +129,7 @@ class Wanted:
     extrapolated : bool
         Whether to tell where the map has no evidence of its own.
     mask : MaskSettings or None
+        A threshold that is found from the picture is found before, see `settled`.
     """
 
     map: MapSettings | None = None
@@ -147,6 +150,12 @@ class Wanted:
         }
         return {name: dtype for name, (is_asked, dtype) in asked.items() if is_asked}
 
+    def settled(self, threshold: float | None) -> Wanted:
+        """Return the same with the threshold of masks that was found, if it was to be found."""
+        if self.mask is None or threshold is None:
+            return self
+        return replace(self, mask=replace(self.mask, threshold=threshold))
+
     def problems(
         self, problem: LabelingProblem, levels: int, seeds: NDArray[Any] | None
     ) -> dict[str, Problem]:
@@ -160,7 +169,11 @@ class Wanted:
         return found
 
     def measure(
-        self, problem: LabelingProblem, around: dict[str, CoarseLabels], seeds: NDArray[Any] | None
+        self,
+        problem: LabelingProblem,
+        around: dict[str, CoarseLabels],
+        seeds: NDArray[Any] | None,
+        within: NDArray[Any] | None = None,
     ) -> Found:
         """Return all results that are wanted of a tile, everywhere that it sees."""
         found: Found = {}
@@ -175,7 +188,10 @@ class Wanted:
             if self.extrapolated:
                 found["extrapolated"] = extrapolated(problem)
         if self.mask is not None:
-            found["mask"] = labeled_mask(problem, self.mask, seeds=seeds, around=around.get("mask"))
+            where = None if within is None else within != 0
+            found["mask"] = labeled_mask(
+                problem, self.mask, seeds=seeds, within=where, around=around.get("mask")
+            )
         return found
 
 
@@ -213,14 +229,31 @@ def coarse_pass(
     noise: Noise,
     how: Estimation,
     wanted: Wanted,
+    threshold: float | None,
 ) -> dict[str, Problem]:
     """Return what the cells of the core of a tile cost: the coarse pass."""
     problem = _problem_of_tile(pixels, tile, noise, how)
-    own = tile.core_cells(levels)
+    own, wanted = tile.core_cells(levels), wanted.settled(threshold)
     return {
         name: (data[own].copy(), weights[:, *own].copy(), position)
         for name, (data, weights, position) in wanted.problems(problem, levels, seeds).items()
     }
+
+
+def blur_pass(
+    pixels: NDArray[Any], within: NDArray[Any] | None, tile: Tile, noise: Noise, how: Estimation
+) -> NDArray[np.int64]:
+    """Return how many places of the core of a tile are surely blurred by each scale."""
+    problem = _problem_of_tile(pixels, tile, noise, how)
+    where = None if within is None else within != 0
+    return blur_counts(problem, where, tile.core_cells(0))
+
+
+def threshold_of_tiles(
+    counts: list[NDArray[np.int64]], scales: NDArray[np.floating], mode: Mode
+) -> float:
+    """Return up to which blur a picture, or a stack, counts as in focus."""
+    return threshold_of_counts(np.sum(counts, axis=0), scales, mode)
 
 
 def join_cells(costs: list[dict[str, Problem]], axis: int) -> dict[str, Problem]:
@@ -250,12 +283,14 @@ def _minimized(data: Float32, weights: Float32, position: NDArray[np.int32]) -> 
 def measure_tile(
     pixels: NDArray[Any],
     seeds: NDArray[Any] | None,
+    within: NDArray[Any] | None,
     tile: Tile,
     levels: int,
     cells: dict[str, NDArray[np.int32]] | None,
     noise: Noise,
     how: Estimation,
     wanted: Wanted,
+    threshold: float | None,
 ) -> Found:
     """Return the results of a tile: in its core, and in its margin where tiles are blended."""
     problem = _problem_of_tile(pixels, tile, noise, how)
@@ -264,7 +299,7 @@ def measure_tile(
         name: CoarseLabels(np.ascontiguousarray(labels[at]), tile.core_cells(0), tile.inner_sides)
         for name, labels in (cells or {}).items()
     }
-    found = wanted.measure(problem, around, seeds)
+    found = wanted.settled(threshold).measure(problem, around, seeds, within)
     return {
         name: found[name][tile.core(margin=dtype is np.float32)].copy()
         for name, dtype in wanted.dtypes.items()

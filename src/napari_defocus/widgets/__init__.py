@@ -7,15 +7,10 @@ from importlib import import_module
 from typing import Any
 
 _HOME_OF = {
-    "AllInFocusWidget": "docks.single_steps",
-    "BlurMapWidget": "docks.single_steps",
     "CalibrateWidget": "docks.calibrate",
     "ChangeFocusWidget": "docks.change_focus",
     "DefocusWidget": "docks.defocus",
-    "DepthWidget": "docks.single_steps",
     "FocusCurveWidget": "docks.focus_curve",
-    "InFocusWidget": "docks.single_steps",
-    "MapAndMaskWidget": "docks.single_steps",
     "ProbeWidget": "docks.probe",
     "SharpestPlaneWidget": "docks.sharpest_plane",
     "brushes": "layers.samples",

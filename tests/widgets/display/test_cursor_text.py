@@ -87,7 +87,15 @@ def test_nothing_is_told_beside_the_picture_and_without_a_value(viewer, leaf):
 def test_low_confidence_is_not_trusted(viewer, leaf):
     add_results(viewer, results_on(leaf, viewer, sure=0.31))
     assert moved_to(viewer, 3, 4).endswith(
-        "3.2 px, confidence 0.31 (not trusted: see “Why here?”), in focus"
+        "3.2 px, confidence 0.31 (not trusted: details fit several radii), "
+        "in focus like its surroundings"
+    )
+
+
+def test_place_without_details_is_said_to_be_one(viewer, leaf):
+    add_results(viewer, results_on(leaf, viewer, sure=0.08, mask=2))
+    assert moved_to(viewer, 3, 4).endswith(
+        "3.2 px, confidence 0.08 (not trusted: no details here), in focus or not is not known"
     )
 
 

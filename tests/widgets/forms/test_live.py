@@ -48,6 +48,22 @@ def test_threshold_changes_the_mask_alone(viewer, measured, settled, method):
     assert len(method.labelings) == len(method.estimations) == 1
 
 
+def test_slider_shows_what_was_found_and_moving_it_takes_the_number(viewer, measured, settled):
+    fields = measured.settings.threshold_fields
+    assert (fields.found.value, fields.slider.value) == (True, 2.0)
+    made = viewer.layers["leaf in focus"].metadata["napari_defocus"]
+    assert (made["settings"]["threshold"], made["threshold found"]) == (2.0, True)
+    fields.slider.value = 3.0
+    settled(measured)
+    made = viewer.layers["leaf in focus"].metadata["napari_defocus"]
+    assert (made["settings"]["threshold"], "threshold found" in made) == (3.0, False)
+    assert not fields.found.value
+    fields.found.value = True
+    settled(measured)
+    assert (fields.found.value, fields.slider.value) == (True, 2.0)
+    assert viewer.layers["leaf in focus"].data.max() == 0
+
+
 @pytest.mark.parametrize("field", ["map_smoothness", "map_color_sigma"])
 def test_smoothness_and_colour_step_of_the_map_change_the_map_alone(
     viewer, measured, settled, method, field
@@ -105,7 +121,7 @@ def test_mask_that_is_not_wanted_any_more_is_not_shown(
 
 def test_slider_that_comes_back_leaves_what_is_shown(viewer, measured, settled, method):
     measured.settings.threshold.value = 3.0
-    measured.settings.threshold.value = 2.0
+    measured.settings.threshold_fields.found.value = True
     settled(measured)
     assert viewer.layers["leaf in focus"].data.max() == 0
     assert len(method.segmentations) == 1

@@ -148,7 +148,7 @@ def quick(method, monkeypatch):
             writer.finish()
             assert name in ("blur_map", "confidence", "mask")
         noise = np.full(shape[:-2], 1e-5)
-        return noise, [Intensities(0.0, 255.0, "number type")] * noise.size
+        return noise, [Intensities(0.0, 255.0, "number type")] * noise.size, 2.3
 
     monkeypatch.setattr(large_analysis, "measure_into", measure_into)
     return measure_into

@@ -12,6 +12,7 @@ from napari_defocus import Disc, MeasuredPSF, Settings
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.layers.preferences import (
     PLUGIN,
+    THRESHOLD_OF_THE_PICTURE,
     DisplaySettings,
     preferred_display,
     preferred_settings,
@@ -44,7 +45,9 @@ def test_defaults_of_the_manifest_are_those_of_the_settings(part):
     properties = MANIFEST.contributions.configurations[part].properties
     assert properties
     for key, said in properties.items():
-        assert said.default == getattr(PARTS[part], key), key
+        default = getattr(PARTS[part], key)
+        expected = THRESHOLD_OF_THE_PICTURE if default == "auto" else default
+        assert said.default == expected, key
 
 
 def test_without_the_plugin_in_napari_there_are_defaults(plugin_settings, messages):

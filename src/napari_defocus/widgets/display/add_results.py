@@ -176,6 +176,12 @@ def show_color_bar(layer: Layer) -> None:
         overlay.visible = True
 
 
+def move_to_top(viewer: ViewerModel, layer: Layer) -> None:
+    """Let no other layer lie above one."""
+    if viewer.layers[-1] != layer:
+        viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
+
+
 def _can_hold(layer: Layer, keywords: dict[str, Any]) -> bool:
     """Tell whether a layer can get data of this kind; napari fixes it when it makes the layer."""
     return all(

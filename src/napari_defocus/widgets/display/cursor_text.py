@@ -13,7 +13,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
 from napari_defocus.psf import BLUR_RADIUS
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT, UNKNOWN
 from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.picker import value_at
 from napari_defocus.widgets.layers.result_metadata import (
@@ -32,8 +32,10 @@ from napari_defocus.widgets.layers.result_metadata import (
 _DESCRIBED = (BLUR_MAP, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
 """Results whose own value, as napari tells it, says nothing more."""
 
-NOT_SURE = "not trusted: see “Why here?”"
 AS_AROUND = "like its surroundings"
+
+_NOTHING_SEEN = 0.15
+"""Confidence below which there is no texture, see `confidence_map`."""
 
 _BEFORE_VALUES = " » "
 """What napari puts between coordinates and values if several layers are selected."""
@@ -70,8 +72,8 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     str
         Such as "3.2 px, confidence 0.94, in focus". It is empty if nothing is known there, or
         the viewer shows a volume. A confidence below that of the cover, or below `CONFIDENT`
-        if nothing is covered, is "not trusted". A mask that does not say what the map says
-        follows its surroundings, or seeds: that is said, too.
+        if nothing is covered, is "not trusted", with the reason. A mask follows its surroundings
+        there, and where it does not say what the map says: that is said, too.
 
     Examples
     --------
@@ -98,21 +100,31 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
         # Rounded up, it might read like one that is trusted.
-        shown = f"{sure:.2f}" if trusted else f"{math.floor(100 * sure) / 100:.2f} ({NOT_SURE})"
-        words.append(f"confidence {shown}")
+        untrusted = f"{math.floor(100 * sure) / 100:.2f} (not trusted: {_reason(sure)})"
+        words.append(f"confidence {f'{sure:.2f}' if trusted else untrusted}")
     if mask_layer is not None and mask is not None:
-        words.append(_focus(mask_layer, bool(mask), scale))
+        words.append(_focus(mask_layer, mask, scale, known=trusted))
     return ", ".join(words)
 
 
-def _focus(mask_layer: Layer, in_focus: bool, scale: float | None) -> str:
-    """Return what a mask says, and that it follows its neighbours where the map says otherwise."""
-    word = "in focus" if in_focus else "blurred"
+def _reason(sure: float) -> str:
+    """Return why a radius is not trusted, in a few words."""
+    return "no details here" if sure < _NOTHING_SEEN else "details fit several radii"
+
+
+def _focus(mask_layer: Layer, mask: float, scale: float | None, *, known: bool) -> str:
+    """Return what a mask says, and that it follows its neighbours where the place itself does not.
+
+    That is where the place is not known, or the map says otherwise.
+    """
+    if mask == UNKNOWN:
+        return "in focus or not is not known"
     settings = mask_layer.metadata[METADATA_KEY].get("settings")
     threshold = settings.get("threshold") if isinstance(settings, dict) else None
-    if scale is None or not isinstance(threshold, float):
-        return word
-    return word if in_focus == (scale <= threshold) else f"{word} {AS_AROUND}"
+    word = "in focus" if mask else "blurred"
+    if known and scale is not None and isinstance(threshold, float):
+        known = bool(mask) == (scale <= threshold)
+    return word if known else f"{word} {AS_AROUND}"
 
 
 def _asked(viewer: ViewerModel) -> Layer | None:

@@ -119,7 +119,7 @@ def wanted_regions(
     except NotAnalysableError as reason:
         show_warning(f"Cannot measure the regions of “{image.name}”: {reason}")
         return None
-    mask_layer, mask = _shown(viewer, plane, IN_FOCUS)
+    mask_layer, mask = shown_result(viewer, plane, IN_FOCUS)
     if mask_layer is None or mask is None:
         show_warning(NO_MASK.format(name=plane.name))
         return None
@@ -128,7 +128,7 @@ def wanted_regions(
     except NotAnalysableError as reason:
         show_warning(f"Cannot measure the regions of “{image.name}”: {reason}")
         return None
-    maps = {name: _shown(viewer, plane, name)[1] for name in (BLUR_MAP, CONFIDENCE)}
+    maps = {name: shown_result(viewer, plane, name)[1] for name in (BLUR_MAP, CONFIDENCE)}
     return WantedRegions(plane, mask_layer, mask, maps)
 
 
@@ -153,7 +153,7 @@ def _features(table: RegionTable) -> dict[str, Any]:
     return {name: column for name, column in table.columns.items() if name != "index"}
 
 
-def _shown(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None, Any]:
+def shown_result(viewer: ViewerModel, plane: Plane, result: str) -> tuple[Layer | None, Any]:
     """Return the layer of a result of an image, and its values on the plane; None if missing."""
     layer = layer_of_result(viewer.layers, result, plane.name, plane.region)
     if layer is None:

@@ -131,8 +131,9 @@ class DefocusWidget(DefocusPanel):
             MASK,
             "What counts as in focus, and where you know better",
             [
-                *(settings.threshold, settings.mask_smoothness, settings.mask_color_sigma),
-                *(self.seeds, self.seeds_button, self.tools.regions),
+                *(settings.threshold, settings.threshold_fields.found),
+                *(settings.mask_smoothness, settings.mask_color_sigma, settings.leave_unknown),
+                *(self.seeds, self.seeds_button, self.tools.regions, self.tools.opacity),
             ],
         )
         self.pages.add(
@@ -175,7 +176,7 @@ class DefocusWidget(DefocusPanel):
         set_shortcut(self.seeds_button, "Alt+S")
         set_shortcut(self.tools.probe, "Alt+Y")
         set_shortcut(self.tools.relief, "Alt+D")
-        describe([*self, self.tools.row])
+        describe([self.tools.row])
         tab_in_reading_order(self.native)
 
     def _wire(self) -> None:

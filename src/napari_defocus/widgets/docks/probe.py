@@ -19,6 +19,7 @@ from napari_defocus.widgets.display.probing import (
     probed,
 )
 from napari_defocus.widgets.display.window_outline import WindowOutline
+from napari_defocus.widgets.forms.accessibility import describe
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.likelihood_canvas import LikelihoodCanvas
 from napari_defocus.widgets.forms.qt_lifetime import when_destroyed
@@ -85,6 +86,7 @@ class ProbeWidget(Container[Widget]):
         self._curve = LikelihoodCanvas(on_shown=lambda: self.start(), on_hidden=lambda: self.stop())
         self.native.layout().insertWidget(len(self) - 1, self._curve, 1)
         self._make_room_for_text()
+        describe([self.image, self.follow, self.outlined])
         self._timer = QTimer(self.native)
         self._timer.setSingleShot(True)
         self._timer.timeout.connect(lambda: self.refresh())

@@ -1,4 +1,7 @@
-"""The widgets that do one step each, all of which the Defocus widget does too."""
+"""Widgets that do one step each: `viewer.window.add_dock_widget(BlurMapWidget(viewer))`.
+
+The menus do not name them, as the Defocus widget does what they do.
+"""
 
 from magicgui.widgets import Widget
 from napari.components import ViewerModel

@@ -12,6 +12,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QWidget
 
 from napari_defocus import Settings
 from napari_defocus.settings import MaskSettings
+from napari_defocus.widgets.display.opacity import wanted_opacity
 from napari_defocus.widgets.display.region_table import wanted_regions
 from napari_defocus.widgets.display.relief import hide_relief, show_made_relief, wanted_relief
 from napari_defocus.widgets.display.view_state import view_state
@@ -54,7 +55,7 @@ class Tools:
     probe, relief : magicgui.widgets.PushButton
         Those in the row.
     curve, sharpest, save_map, open_map, script : magicgui.widgets.PushButton
-    regions, load_settings, save_settings : magicgui.widgets.PushButton
+    regions, opacity, load_settings, save_settings : magicgui.widgets.PushButton
         Those that belong elsewhere in the panel.
     """
 
@@ -97,6 +98,12 @@ class Tools:
             "Table of regions",
             "Number the regions in focus, and measure each: area, blur, confidence.",
             self.add_regions,
+        )
+        self.opacity = _button(
+            "Soft edges",
+            "Add the opacity of what is in focus, from 0 to 1, for hair and fur: an image from the "
+            "mask. It needs the package pymatting.",
+            self.add_opacity,
         )
         self.load_settings = _button(
             "Load settings…", "Fill the form from a JSON file of settings.", self.load
@@ -173,6 +180,22 @@ class Tools:
             self.refresh()
 
         return self._quickly(lambda _: make(), show)
+
+    def add_opacity(self) -> Run | None:
+        """Add the opacity of what is in focus; return the run that makes it."""
+        image = self._panel.image.value
+        if image is None:
+            show_warning("There is no image. Open an image first.")
+            return None
+        wanted = wanted_opacity(self._viewer, image)
+        if wanted is None:
+            return None
+
+        def show(made: Any) -> None:
+            wanted.add(self._viewer, made)
+            self._panel.status.value = "Opacity: white is in focus, grey is mixed."
+
+        return self._quickly(wanted.made, show)
 
     def add_regions(self) -> Run | None:
         """Measure the regions in focus, and open their table; return the run that does."""

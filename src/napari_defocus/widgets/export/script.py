@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import napari_defocus
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.export.script_picture import picture_source, shortened, text_literal
 from napari_defocus.widgets.jobs.analysis import Analysis
@@ -202,6 +203,8 @@ def _analysis(work: Analysis) -> Iterator[str]:
     if work.mask is not None:
         seeds = {"seeds": "seeds"} if "seeds" in arrays else {}
         keywords = _unusual(work.mask) | seeds
+        if "inside" in arrays and work.mask.threshold == AUTO:
+            keywords["within"] = "inside"
         yield _call("in_focus", "segment_in_focus", "candidates", "image", **keywords)
         if "inside" in arrays:
             yield "in_focus[inside == 0] = 0"

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from qtpy.QtCore import QTimer
 
 from napari_defocus import PSFEvidence
-from napari_defocus.settings import CONFIDENT
-from napari_defocus.widgets.display.add_results import add_results_stepwise
+from napari_defocus.widgets.display.add_results import add_results_stepwise, move_to_top
+from napari_defocus.widgets.display.covers import covers_of
 from napari_defocus.widgets.display.dock_state import DockState, Notice
 from napari_defocus.widgets.display.found_results import FoundResults
 from napari_defocus.widgets.display.see_through import SeeThrough
+from napari_defocus.widgets.display.summaries import summary_of
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.lens_comparison import LensComparison
 from napari_defocus.widgets.forms.live_labels import LiveLabels
@@ -35,27 +36,21 @@ from napari_defocus.widgets.forms.result_fields import (
 from napari_defocus.widgets.forms.settings_form import SettingsForm
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.analysis import Analysis, Comparison
-from napari_defocus.widgets.jobs.estimation import Analysed, Picture
+from napari_defocus.widgets.jobs.estimation import Analysed
 from napari_defocus.widgets.jobs.large_analysis import LargeAnalysis, is_large
 from napari_defocus.widgets.jobs.shown_labels import ShownLabels
 from napari_defocus.widgets.jobs.stack_analysis import StackAnalysis, may_be_large
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
-from napari_defocus.widgets.layers.picture_signs import signs_of_picture
 from napari_defocus.widgets.layers.preferences import preferred_display, preferred_settings
-from napari_defocus.widgets.layers.result_layers import not_trusted_layer
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
     METADATA_KEY,
-    NOT_TRUSTED,
     REGION,
+    THRESHOLD_FOUND,
     Results,
-    confidence_description,
     layer_of_result,
     made_by_us,
-    noise_description,
-    region_of_result,
-    results_of,
 )
 from napari_defocus.widgets.layers.seeds import Seeds, SeedsWatch, add_seeds_layer, shown_seeds
 
@@ -145,6 +140,8 @@ class DefocusPanel(ImagePanel):
         self.settings.min_confidence.changed.connect(self._on_min_confidence)
         for field in self.settings.weights():
             field.number.changed.connect(lambda _: self.update_labels())
+        for box in (self.settings.threshold_fields.found, self.settings.leave_unknown):
+            box.changed.connect(lambda _: self.update_labels())
         self.live.changed.connect(lambda _: self.update_labels())
         # napari may tell of a stroke before it is on the layer.
         self._see_through = SeeThrough(self._viewer)
@@ -332,6 +329,7 @@ class DefocusPanel(ImagePanel):
         if analysis is None:
             return None
         self._live_labels.stop()
+        self.region.uncover()
         keep = bool(self.keep_earlier.value)
 
         def take(results: list[LayerDataTuple], whole: bool) -> Iterator[Layer]:
@@ -351,6 +349,7 @@ class DefocusPanel(ImagePanel):
         if analysis is None:
             return None
         self._live_labels.stop()
+        self.region.uncover()
         keep = self.keep_earlier.value
         return self._start(
             partial(analysis.run, self.cache),
@@ -368,15 +367,15 @@ class DefocusPanel(ImagePanel):
         for layer in self._showing_below_brush(results.layers, keep_earlier):
             shown.append(layer)
             yield layer
+        self._show_threshold(results.layers)
         self._on_min_confidence(self.settings.min_confidence.value)
         self._choose_first(results.layers)
-        self.region.uncover()
         self._found.note(
             analysis.plane,
             results.summary,
             shown,
             (analysis.estimation, analysis.mask),
-            all_planes=self.planes.all_planes,
+            all_planes=isinstance(analysis, StackAnalysis) or analysis.all_planes,
         )
         self._tell()
         analysed = self.cache.analysed.latest(self.image.value)
@@ -442,7 +441,6 @@ class DefocusPanel(ImagePanel):
             if not whole and layer not in before:
                 self._rough.add(layer)
             yield layer
-        self.region.uncover()
         if whole:
             self._rough.clear()
             self._choose_first(results)
@@ -463,14 +461,22 @@ class DefocusPanel(ImagePanel):
             shown.append(layer)
             yield layer
         self._shown.note(analysed, analysis, whole=whole)
+        self._show_threshold(results)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
-            lines = _summary(results, self._confidence(results), analysed.picture)
+            lines = summary_of(results, self._confidence(results), analysed.picture)
             asked = analysis.estimation, analysis.mask or self.settings.mask_settings()
             plane = analysed.picture.plane
             self._found.note(plane, lines, shown, asked, all_planes=False)
             self._tell()
             self._on_shown()
+
+    def _show_threshold(self, results: list[LayerDataTuple]) -> None:
+        """Let the slider show the threshold that was found from the picture, if it was."""
+        for _, keywords, _ in results:
+            made = keywords["metadata"][METADATA_KEY]
+            if made.get(THRESHOLD_FOUND) and self.settings.threshold_fields.found.value:
+                self.settings.threshold_fields.show_found(made["settings"]["threshold"])
 
     def _confidence(self, results: list[LayerDataTuple]) -> NDArray[np.floating] | None:
         """Return the confidence that is shown of what results are of, if it is."""
@@ -496,7 +502,7 @@ class DefocusPanel(ImagePanel):
                 layer.visible = True
             yield layer
         if painted is not None and painted == self.seeds.value:
-            _to_top(self._viewer, painted)
+            move_to_top(self._viewer, painted)
             selection.active = painted
 
     def _choose_first(self, results: list[LayerDataTuple]) -> None:
@@ -517,38 +523,7 @@ class DefocusPanel(ImagePanel):
 
     def _on_min_confidence(self, min_confidence: float) -> None:
         """Cover what is not trusted by the confidence layers of the chosen image and its parts."""
-        layers, name = self._viewer.layers, getattr(self.image.value, "name", "")
-        newest: dict[str, Layer] = {}
-        for confidence in results_of(layers, CONFIDENCE, name):
-            newest.setdefault(region_of_result(confidence), confidence)
-        for region, confidence in newest.items():
-            covered = layer_of_result(layers, NOT_TRUSTED, name, region)
-            if covered is not None or min_confidence > 0:
-                cover = not_trusted_layer(confidence.as_layer_data_tuple(), min_confidence)
-                for _ in self._showing_below_brush([cover], keep_earlier=False):
-                    pass
-
-
-def _to_top(viewer: ViewerModel, layer: Layer) -> None:
-    """Let no other layer lie above one."""
-    if viewer.layers[-1] != layer:
-        viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
-
-
-def _summary(
-    results: list[LayerDataTuple], confidence: NDArray[np.floating] | None, picture: Picture
-) -> str:
-    made = results[-1][1]["metadata"][METADATA_KEY]
-    lines = signs_of_picture(picture.image)
-    # What is seen in the picture explains the doubt, too.
-    said = ("lens",) if lines else ("doubt", "lens")
-    lines += [made[name] for name in said if name in made]
-    if REGION in made:
-        lines.append(f"Measured: {made[REGION]['of']}")
-    lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
-    share = None if confidence is None else (confidence >= CONFIDENT).mean()
-    if share == 0:
-        lines.append("Nothing can be known here: it has no texture that tells of blur.")
-    elif share is not None:
-        lines.append(confidence_description(share))
-    return "\n".join(lines)
+        name = getattr(self.image.value, "name", "")
+        for cover in covers_of(self._viewer.layers, name, min_confidence):
+            for _ in self._showing_below_brush([cover], keep_earlier=False):
+                pass

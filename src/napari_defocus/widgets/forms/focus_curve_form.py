@@ -7,7 +7,7 @@ from magicgui.widgets import ComboBox, FloatSpinBox, Widget
 from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
-from napari_defocus.settings import MaskSettings
+from napari_defocus.settings import USUAL_THRESHOLD
 from napari_defocus.widgets.display.blur_map_stack import (
     BlurMapStack,
     confidence_of,
@@ -54,7 +54,7 @@ class FocusCurveForm:
         self.threshold = FloatSpinBox(
             name="curve_threshold",
             label="in focus up to (px)",
-            value=MaskSettings.threshold,
+            value=USUAL_THRESHOLD,
             min=0.0,
             max=20.0,
             step=0.1,

@@ -8,8 +8,8 @@ from napari_defocus.widgets.forms.accessibility import describe, tab_in_reading_
 from napari_defocus.widgets.forms.run_panel import widen_labels
 from napari_defocus.widgets.forms.scrolling import ScrollingForm
 
-WIDTH = 400
-"""In px, of a section: room for the widest field."""
+WIDTH = 416
+"""In px, of the sections: room for the widest field, and a bar to scroll it."""
 
 
 _HEADING = """
@@ -84,7 +84,7 @@ class Pages:
         page: Container[Widget] = Container()
         # Only rows that come after the container's own making get labels of equal width.
         page.extend(fields)
-        page.margins = (10, 2, 0, 8)
+        page.margins = (8, 2, 2, 8)
         native: QWidget = page.native
         widen_labels(native)
         describe(fields)

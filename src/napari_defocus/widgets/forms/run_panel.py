@@ -11,6 +11,7 @@ from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import QBoxLayout, QLabel, QSizePolicy, QWidget
 
 from napari_defocus.core.worker_process import end_idle
+from napari_defocus.widgets.forms.accessibility import describe, tab_in_reading_order
 from napari_defocus.widgets.forms.qt_lifetime import when_destroyed
 from napari_defocus.widgets.forms.scrolling import make_scrolling
 from napari_defocus.widgets.forms.tabs import become_a_tab
@@ -77,6 +78,8 @@ class RunPanel(Container[Widget]):
         self.rows: QBoxLayout = self.native.layout()
         if self.SCROLLS:
             make_scrolling(self.native)
+        describe(self)
+        tab_in_reading_order(self.native)
         become_a_tab(self.native)
         when_destroyed(self.native, self, lambda panel: panel._on_closed())
 

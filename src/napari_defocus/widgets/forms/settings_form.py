@@ -10,6 +10,7 @@ from napari_defocus.core.checks import LARGEST_SOFTNESS
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.forms.lens_form import LensForm
 from napari_defocus.widgets.forms.slider_field import SliderField
+from napari_defocus.widgets.forms.threshold_field import ThresholdFields
 from napari_defocus.widgets.jobs.estimation import LARGEST_RADIUS
 
 AUTOMATIC = "automatic"
@@ -48,7 +49,11 @@ class SettingsForm:
         What the blur map is labelled with.
     confidence, min_confidence : magicgui widgets
         Whether the confidence is shown, and below which the map is covered.
-    threshold, mask_smoothness, mask_color_sigma : SliderField
+    threshold_fields : ThresholdFields
+        Up to which blur the mask is in focus; `threshold` is its slider.
+    leave_unknown : magicgui.widgets.CheckBox
+        Whether what says nothing itself is left.
+    mask_smoothness, mask_color_sigma : SliderField
         What the mask is segmented with.
     more : magicgui.widgets.PushButton
         Shows and hides the fields that few people need.
@@ -68,7 +73,9 @@ class SettingsForm:
         self.map_color_sigma = _color_sigma_field("map", "radius", MapSettings.color_sigma)
         self.confidence = _confidence_field()
         self.min_confidence = _min_confidence_field()
-        self.threshold = _threshold_field()
+        self.threshold_fields = ThresholdFields()
+        self.threshold = self.threshold_fields.slider
+        self.leave_unknown = _leave_unknown_field()
         self.mask_smoothness = _smoothness_field("mask", "answer", MaskSettings.smoothness)
         self.mask_color_sigma = _color_sigma_field("mask", "answer", MaskSettings.color_sigma)
         self.more = PushButton(name="more", text=_MORE.format("▸"))
@@ -92,13 +99,14 @@ class SettingsForm:
             self.camera_softness,
         ]
         weights = [field.number for field in self.weights()]
+        asked += [self.threshold_fields.found, self.leave_unknown]
         return [*self.lens.fields(), *asked, self.linear_light, *weights]
 
     def main_fields(self) -> list[Widget]:
         """Return the fields below the lens' that are always shown."""
         shown: list[Widget] = [self.max_radius]
         if self._mask:
-            shown.append(self.threshold)
+            shown += [self.threshold, self.threshold_fields.found]
         if self._blur_map:
             shown += [self.confidence, self.min_confidence]
         return shown
@@ -110,7 +118,7 @@ class SettingsForm:
         if self._blur_map:
             fields += [self.map_smoothness, self.map_color_sigma]
         if self._mask:
-            fields += [self.mask_smoothness, self.mask_color_sigma]
+            fields += [self.leave_unknown, self.mask_smoothness, self.mask_color_sigma]
         return fields
 
     def weights(self) -> list[SliderField]:
@@ -184,7 +192,8 @@ class SettingsForm:
         self.linear_light.value = estimation.linearize == "srgb"
         self.map_smoothness.value = estimation.smoothness
         self.map_color_sigma.value = estimation.color_sigma
-        self.threshold.value = min(mask.threshold, self.threshold.largest)
+        self.threshold_fields.threshold = mask.threshold
+        self.leave_unknown.value = mask.unknown == "leave"
         self.mask_smoothness.value = mask.smoothness
         self.mask_color_sigma.value = mask.color_sigma
 
@@ -203,9 +212,10 @@ class SettingsForm:
         if not self._mask:
             return None
         return MaskSettings(
-            threshold=self.threshold.value,
+            threshold=self.threshold_fields.threshold,
             smoothness=self.mask_smoothness.value,
             color_sigma=self.mask_color_sigma.value,
+            unknown="leave" if self.leave_unknown.value else "fill",
         )
 
 
@@ -302,16 +312,13 @@ def _min_confidence_field() -> FloatSpinBox:
     )
 
 
-def _threshold_field() -> SliderField:
-    return SliderField(
-        name="threshold",
-        label="in focus up to (px)",
-        value=MaskSettings.threshold,
-        largest=MapSettings.max_radius,
-        step=0.1,
-        follows=True,
-        tooltip="The widest blur that still counts as in focus: its radius in pixels, as the "
-        "map shows it. Changing it does not analyse the picture again.",
+def _leave_unknown_field() -> CheckBox:
+    return CheckBox(
+        name="leave_unknown",
+        text="leave what is not known",
+        value=MaskSettings.unknown == "leave",
+        tooltip="Places without texture, or of a confidence below 0.5, say nothing of focus. They "
+        "are filled from around, or left, grey, as a third label (2).",
     )
 
 

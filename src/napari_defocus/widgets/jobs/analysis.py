@@ -10,7 +10,7 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
-from napari_defocus.core.checks import check_threshold
+from napari_defocus.core.checks import check_threshold_or_auto
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.psf import AUTO
 from napari_defocus.psf.parsing import psf_of
@@ -24,6 +24,7 @@ from napari_defocus.widgets.jobs.estimation import (
     estimated_map,
     same_candidates,
     segmented,
+    settled_mask,
 )
 from napari_defocus.widgets.jobs.map_source import layers_of_map
 from napari_defocus.widgets.layers.image_layers import Plane
@@ -75,7 +76,7 @@ class Wanted:
         """Refuse impossible settings before any work is done with them."""
         family = self.estimation.family()
         if self.mask is not None:
-            check_threshold(self.mask.threshold, self._largest_looked_for(family))
+            check_threshold_or_auto(self.mask.threshold, self._largest_looked_for(family))
 
     def _largest_looked_for(self, family: PSFFamily) -> float:
         """Return the largest scale, in px, that a picture of this size is searched up to."""
@@ -161,12 +162,13 @@ class Analysis(Wanted):
             settings = self.estimation.settled(analysed.candidates.psf)
             values = analysed.on_problem(preview_of_blur_map, settings=settings, **common)
             found = analysed.candidates
-            used = settings, found.noise_variance, found.psf, found.intensities
-            layers.append(blur_map_layer(self.plane, values, *used))
+            made = settings, found.noise_variance, found.psf, found.intensities
+            layers.append(blur_map_layer(self.plane, values, *made))
         if self.mask is not None:
-            common |= {"settings": self.mask, "seeds": self._seeds, "preview": True}
+            used = settled_mask(analysed, self.mask, channel)
+            common |= {"settings": used, "seeds": self._seeds, "preview": True}
             mask = analysed.on_problem(labeled_mask, **common)
-            layers.append(self._mask_layer(analysed, mask))
+            layers.append(self._mask_layer(analysed, mask, used))
         for _, keywords, _ in layers:
             keywords["metadata"][METADATA_KEY]["preview"] = True
         return layers
@@ -185,14 +187,18 @@ class Analysis(Wanted):
         self, analysed: Analysed, cache: JobCache, progress: Progress
     ) -> list[LayerDataTuple]:
         assert self.mask is not None
-        return [self._mask_layer(analysed, segmented(analysed, self.mask, self._seeds, progress))]
+        used = settled_mask(analysed, self.mask)
+        return [self._mask_layer(analysed, segmented(analysed, used, self._seeds, progress), used)]
 
-    def _mask_layer(self, analysed: Analysed, mask: NDArray[np.uint8]) -> LayerDataTuple:
-        assert self.mask is not None
+    def _mask_layer(
+        self, analysed: Analysed, mask: NDArray[np.uint8], settled: MaskSettings
+    ) -> LayerDataTuple:
+        found = self.mask != settled
         candidates, seeds = analysed.candidates, self.seeds.name if self.seeds else None
         settings = self.estimation.settled(candidates.psf)
-        used = self.mask, settings, candidates.noise_variance, seeds, candidates.intensities
-        layer = in_focus_layer(self.plane, self.plane.counted(mask), *used)
+        used = settled, settings, candidates.noise_variance, seeds, candidates.intensities
+        counted = self.plane.counted(mask)
+        layer = in_focus_layer(self.plane, counted, *used, threshold_found=found)
         return say_doubt(say_lens([layer], candidates.psf_choice), candidates.doubt)[0]
 
 

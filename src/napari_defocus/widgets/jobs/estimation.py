@@ -295,9 +295,22 @@ def segmented(
     progress: Progress,
 ) -> NDArray[np.uint8]:
     """Return the in-focus mask of a plane, see `napari_defocus.segment_in_focus`."""
+    given: dict[str, Any] = {"seeds": seeds, "progress": progress}
     if analysed.is_large:
         from napari_defocus.labeling.segmentation import labeled_mask
 
-        return analysed.on_problem(labeled_mask, settings=settings, seeds=seeds, progress=progress)
+        return analysed.on_problem(labeled_mask, settings=settings, **given)
     candidates, image = analysed.candidates, analysed.picture.image
-    return pipeline.segment(candidates, image, settings, seeds=seeds, progress=progress)
+    return pipeline.segment(candidates, image, settings, **given)
+
+
+def settled_mask(analysed: Analysed, settings: MaskSettings, channel: str = "") -> MaskSettings:
+    """Return the settings with the threshold that the plane says, if it was to say it."""
+    inside = analysed.picture.plane.inside
+    if settings.threshold != AUTO or not analysed.is_large:
+        image = analysed.picture.image
+        return pipeline.settled_mask(analysed.candidates, image, settings, within=inside)
+    from napari_defocus.labeling.focus_threshold import focus_threshold_of
+
+    found = analysed.on_problem(focus_threshold_of, within=inside, channel=channel)
+    return replace(settings, threshold=found)

@@ -119,7 +119,11 @@ class LargeAnalysis(Wanted):
                 writers[_NAMES[result]] = self._new_store(result)
             found = run_elsewhere(measure_into, work, writers, progress=progress)
         stores = {result: writers[_NAMES[result]].path for result in self.dtypes}
-        return self._results(stores, *found)
+        noise, intensities, threshold = found
+        if threshold is None or self.mask is None:
+            return self._results(stores, noise, intensities)
+        settled = replace(self, mask=replace(self.mask, threshold=threshold))
+        return settled._results(stores, noise, intensities).with_threshold(threshold)
 
     def _work(self) -> TiledJob:
         plane, letters = self.plane, self._letters()

@@ -17,7 +17,7 @@ from napari_defocus import pipeline
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.psf import AUTO
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.settings import CONFIDENT, THRESHOLD_PLANES
 from napari_defocus.widgets.jobs.analysis import Analysis, Wanted
 from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
@@ -112,6 +112,10 @@ class StackAnalysis(Wanted):
         if choice is not None:
             settled = replace(self, estimation=self.estimation.settled(choice.psf))
             return settled.run(cache, progress).with_lens(choice)
+        threshold = self._found_threshold()
+        if threshold is not None and self.mask is not None:
+            settled = replace(self, mask=replace(self.mask, threshold=threshold))
+            return settled.run(cache, progress).with_threshold(threshold)
         if not self.is_large:
             return self._analysed(
                 {name: self._empty(name) for name in self.dtypes}, cache, progress
@@ -146,13 +150,28 @@ class StackAnalysis(Wanted):
         """Return the lens of all planes, if they are to choose it; None if none can be read."""
         if self.estimation.psf != AUTO:
             return None
-        from napari_defocus.tiled.psf_of_planes import MOST_PLANES, evenly_spaced
+        from napari_defocus.tiled.psf_of_planes import MOST_PLANES
+
+        planes = self._some_planes(MOST_PLANES)
+        return pipeline.lens_of_planes(planes, self.estimation) if planes else None
+
+    def _found_threshold(self) -> float | None:
+        """Return the threshold of all planes' masks, if they are to say it."""
+        if self.mask is None or self.mask.threshold != AUTO:
+            return None
+        planes = self._some_planes(THRESHOLD_PLANES)
+        within = self.plane.inside
+        return pipeline.threshold_of_planes(planes, self.estimation, within=within)
+
+    def _some_planes(self, most: int) -> list[NDArray[Any]]:
+        """Return the pixels of up to so many planes, evenly apart, that can be read."""
+        from napari_defocus.tiled.psf_of_planes import evenly_spaced
 
         positions, planes = list(self.positions()), []
-        for number in evenly_spaced(len(positions), MOST_PLANES):
+        for number in evenly_spaced(len(positions), most):
             with suppress(ValueError):
                 planes.append(Picture.of(self.plane.at_position(positions[number])).image)
-        return pipeline.lens_of_planes(planes, self.estimation) if planes else None
+        return planes
 
     def of_plane(self, plane: Plane) -> Analysis:
         """Return what is wanted of one plane."""

@@ -15,6 +15,7 @@ from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, duration, within
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
+from napari_defocus.psf import AUTO
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 _NOISE_SHARE, _WRITTEN_SHARE = 0.04, 0.97
@@ -56,7 +57,7 @@ class TiledJob:
 
 def measure_into(
     work: TiledJob, writers: dict[str, OmeZarrWriter], *, progress: Progress
-) -> tuple[NDArray[np.float64], list[Intensities]]:
+) -> tuple[NDArray[np.float64], list[Intensities], float | None]:
     """Measure planes part by part into stores, and finish these.
 
     Parameters
@@ -73,6 +74,8 @@ def measure_into(
         Of each plane.
     intensities : list of Intensities
         Of each plane, in order.
+    threshold : float or None
+        Of all masks in px, if it was to be found.
     """
     import dask
 
@@ -82,10 +85,11 @@ def measure_into(
     with ThreadPoolExecutor(_THREADS) as pool, dask.config.set(pool=pool):
         candidates = _candidates(work, progress)
         candidates = candidates.with_noise(within(progress, 0.0, _NOISE_SHARE))
-        found = _found(work, candidates)
+        threshold = _threshold(work, candidates, within(progress, 0.0, _NOISE_SHARE))
+        found = _found(work, candidates, threshold)
         timed = with_time_left(within(progress, _NOISE_SHARE, _WRITTEN_SHARE))
         store({name: found[name] for name in writers}, writers, timed)
-    return np.asarray(candidates.variances), candidates.intensities
+    return np.asarray(candidates.variances), candidates.intensities, threshold
 
 
 def _candidates(work: TiledJob, progress: Progress) -> Any:
@@ -107,7 +111,22 @@ def as_dask(image: Any, axes: str) -> Any:
     return da.from_array(image, chunks=tuple(sides.get(a, 1) for a in axes), name=False)
 
 
-def _found(work: TiledJob, candidates: Any) -> dict[str, Any]:
+def _threshold(work: TiledJob, candidates: Any, progress: Progress) -> float | None:
+    """Return up to which blur all planes are in focus, if they are to say it."""
+    import dask.array as da
+
+    from napari_defocus.tiled.computing import run_tasks
+
+    if work.mask is None or work.mask.threshold != AUTO:
+        return None
+    within = None
+    if work.inside is not None:
+        shape = candidates.plane_shape + work.inside.shape
+        within = da.broadcast_to(da.from_array(work.inside, chunks=BLOCK_SIZE, name=False), shape)
+    return float(run_tasks(candidates.threshold(within), progress, "Finding what is in focus"))
+
+
+def _found(work: TiledJob, candidates: Any, threshold: float | None) -> dict[str, Any]:
     """Return all that is wanted as dask arrays, looked at once together."""
     import dask.array as da
 
@@ -121,6 +140,7 @@ def _found(work: TiledJob, candidates: Any) -> dict[str, Any]:
     )
     chunks = (1,) * len(candidates.plane_shape) + (BLOCK_SIZE, BLOCK_SIZE)
     seeds = None if work.seeds is None else da.from_array(work.seeds, chunks=chunks, name=False)
+    wanted = wanted.settled(threshold)
     found: dict[str, Any] = candidates.measure(wanted, seeds)
     if work.inside is not None:
         inside = da.from_array(work.inside, chunks=BLOCK_SIZE, name=False)

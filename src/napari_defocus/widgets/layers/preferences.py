@@ -10,10 +10,13 @@ from napari.settings import get_plugin_settings
 from napari.utils.notifications import show_warning
 
 from napari_defocus import Settings
-from napari_defocus.core.checks import check_confidence, check_threshold
+from napari_defocus.core.checks import check_confidence, check_threshold_or_auto
 from napari_defocus.settings import CONFIDENT, MapSettings, MaskSettings
 
 PLUGIN = "napari-defocus"
+
+THRESHOLD_OF_THE_PICTURE = 0.0
+"""The number in Preferences, which take no word, that lets the picture say the threshold."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +56,10 @@ def preferred_settings() -> Settings:
     mask = _possible(MaskSettings(), explicit.get("mask", {}))
     largest = estimation.family().max_scale
     try:
-        check_threshold(mask.threshold, largest)
+        check_threshold_or_auto(mask.threshold, largest)
     except ValueError as reason:
         _warn(reason)
-        mask = replace(mask, threshold=min(MaskSettings.threshold, largest / 2))
+        mask = replace(mask, threshold=MaskSettings.threshold)
     return Settings(map=estimation, mask=mask)
 
 
@@ -94,6 +97,8 @@ def _explicit() -> dict[str, dict[str, Any]]:
 def _possible(part: _Part, explicit: dict[str, Any]) -> _Part:
     """Return a part with all that is said and can be; each thing that cannot is warned of."""
     for key, value in explicit.items():
+        if key == "threshold" and value == THRESHOLD_OF_THE_PICTURE:
+            continue
         try:
             changed = replace(part, **{key: value})
             if isinstance(changed, MapSettings):

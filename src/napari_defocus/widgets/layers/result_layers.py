@@ -18,7 +18,7 @@ from napari_defocus.core.color_range import color_limit
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.measured import MeasuredPSF
-from napari_defocus.settings import MapSettings, MaskSettings
+from napari_defocus.settings import UNKNOWN, MapSettings, MaskSettings
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
@@ -30,6 +30,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     PLACEMENT,
     REGION,
     STORE,
+    THRESHOLD_FOUND,
     region_suffix,
     result_layer,
     scale_prefix,
@@ -147,6 +148,8 @@ def in_focus_layer(
     noise_variance: float,
     seeds: str | None = None,
     intensities: Intensities | None = None,
+    *,
+    threshold_found: bool = False,
 ) -> LayerDataTuple:
     """Return an in-focus mask as a labels layer that lies on the plane.
 
@@ -155,7 +158,7 @@ def in_focus_layer(
     plane : Plane
         What the mask was made from.
     mask : (H, W) integer ndarray
-        1 in focus, 0 blurred.
+        1 in focus, 0 blurred, 2 not known.
     settings : MaskSettings
         What it was segmented with.
     estimation : MapSettings
@@ -164,12 +167,15 @@ def in_focus_layer(
         See `blur_map_layer`.
     seeds : str, optional
         Name of the layer of its seeds.
+    threshold_found : bool, optional
+        Whether the threshold of the settings was found from the picture.
     """
+    more = {"seeds": seeds} | ({THRESHOLD_FOUND: True} if threshold_found else {})
     return result_layer(
         *(plane, IN_FOCUS, mask, asdict(estimation) | asdict(settings)),
-        _noise(noise_variance, intensities) | {"seeds": seeds},
+        _noise(noise_variance, intensities) | more,
         kind="labels",
-        colormap=fixed_colors({1: MASK_COLOR}),
+        colormap=fixed_colors({1: MASK_COLOR, UNKNOWN: NOT_TRUSTED_COLOR}),
         opacity=MASK_OPACITY,
     )
 

@@ -58,6 +58,9 @@ REGION = "region"
 AT = "at"
 """Where the metadata of a result say which plane of a stack it is of: a number an axis, or None."""
 
+THRESHOLD_FOUND = "threshold found"
+"""Whether the threshold of a mask, in px among its settings, was found from the picture."""
+
 PLACEMENT = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 """The keywords that say where a layer lies."""
 
@@ -80,6 +83,15 @@ class Results:
     def with_lens(self, choice: PSFChoice) -> Results:
         """Return them, saying how the lens of all planes was chosen."""
         return Results(say_lens(self.layers, choice), f"Lens: {choice}\n{self.summary}")
+
+    def with_threshold(self, threshold: float) -> Results:
+        """Return them, saying which threshold of masks was found from all planes."""
+        for _, keywords, _ in self.layers:
+            made = keywords["metadata"][METADATA_KEY]
+            if made["result"] == IN_FOCUS:
+                made[THRESHOLD_FOUND] = True
+        said = f"In focus up to {threshold:.4g} px (found from the planes)"
+        return Results(self.layers, f"{self.summary}\n{said}")
 
 
 def provenance(plane: Plane, result: str, settings: dict[str, Any], **more: Any) -> dict[str, Any]:

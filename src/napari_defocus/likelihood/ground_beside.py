@@ -1,0 +1,126 @@
+"""Places beside sharp details that are not sharp themselves: on which side of an outline are they?
+
+Their windows see the details, and say "little". That is right within a thing, and wrong on the
+ground beside it. So they offer both: what their windows say, and what the ground would say, which
+is what coarser levels see without the details. The picture's colours and the neighbours decide
+between the two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from napari_defocus.core.threads import in_bands
+from napari_defocus.likelihood.between_windows import of_four
+from napari_defocus.likelihood.evidence import DEPTH
+from napari_defocus.likelihood.prior import log_prior
+from napari_defocus.likelihood.sharp_details import SharpDetails, share_of_blocks
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.floating]
+
+_NEAR = 8.0
+"""px: standard deviation of the Gaussian over which the share of sharp details is averaged."""
+
+_FEW, _MANY = np.float32(0.1), np.float32(0.3)
+"""Up to, and from which share a place is beside them not at all, and surely."""
+
+_OWN = np.float32(0.25)
+"""Share of a block's pixels that are sharp, from which on it is no ground."""
+
+_LESS_LIKELY = np.float32(5)
+"""Units of log-likelihood that the ground is worse than what the windows say themselves: with 2,
+bumps have 0.38 px of error instead of 0.32 (docs/decisions.md)."""
+
+_RATIO, _STEP = 3.0, 1.0
+"""The ground is blurred by more than 3 r + 1 px: a slope of the blur has no other side."""
+
+_NO = np.float32(-30)
+"""Units of log-likelihood: what is not offered."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundBeside:
+    """What places beside sharp details say if they are of the ground.
+
+    Attributes
+    ----------
+    row, column : (P,) int64 ndarray
+        The places, counted in windows.
+    doubt : (P,) float32 ndarray
+        How surely they are beside details, from 0 to 1.
+    curve : (P, L) float32 ndarray
+        Changed by `add`.
+    """
+
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    doubt: Float32
+    curve: Float32
+
+    @classmethod
+    def of(
+        cls, details: SharpDetails, at: tuple[Float64, Float64], stride: int, count: int
+    ) -> GroundBeside:
+        """Find the places: windows `stride` px apart at rows and columns of px, `count` scales."""
+        around = share_of_blocks(details.around, *at, stride)
+        near = gaussian_filter(around, _NEAR / stride, truncate=3.0)
+        beside = np.clip((near - _FEW) / (_MANY - _FEW), 0, 1)
+        beside *= 1 - np.minimum(share_of_blocks(details.inside, *at, stride) / _OWN, 1)
+        row, column = np.nonzero(beside)
+        return cls(row, column, beside[row, column], np.zeros((len(row), count), np.float32))
+
+    def add(self, curve: Float32, rows: Float64, columns: Float64, gain: Float32) -> None:
+        """Add a share, (R, C), of what a level says, (r, c, L), between its windows."""
+        places = rows[self.row], columns[self.column], gain[self.row, self.column]
+        in_bands(_add_between, len(self.row), curve, *places, self.curve)
+
+    def offered(self, total: Float32, own: Float32, scales: Float64, anything: float) -> None:
+        """Let places have what is likelier of both, if it is.
+
+        Parameters
+        ----------
+        total : (R, C, L) float32 ndarray
+            Joined curves, 0 at their tops; changed.
+        own : (R, C, K) float32 ndarray
+            What level 0 says of the first scales.
+        scales : (L,) float64 ndarray
+        anything : float
+            px: what lies above is one class to level 0.
+        """
+        if not len(self.row):
+            return
+        best = (own[self.row, self.column] + log_prior(scales[: own.shape[2]])).argmax(axis=1)
+        least = np.maximum(anything, _RATIO * scales[best] + _STEP)
+        ground = np.where(scales < least[:, None] - 1e-6, _NO, self.curve)
+        ground -= ground.max(axis=1, keepdims=True)
+        ground -= (_LESS_LIKELY + 2 * DEPTH * (1 - self.doubt))[:, None]
+        both = np.maximum(total[self.row, self.column], ground)
+        total[self.row, self.column] = both
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _add_between(
+    start: int,
+    stop: int,
+    curve: Float32,
+    rows: Float64,
+    columns: Float64,
+    gain: Float32,
+    found: Float32,
+) -> None:
+    """Add a share of what windows say at places between them, counted in windows."""
+    height, width, count = curve.shape
+    for place in range(start, stop):
+        top = min(int(rows[place]), max(height - 2, 0))
+        left = min(int(columns[place]), max(width - 2, 0))
+        bottom, right = min(top + 1, height - 1), min(left + 1, width - 1)
+        down, along = np.float32(rows[place] - top), np.float32(columns[place] - left)
+        for k in range(count):
+            said = of_four(curve, top, bottom, left, right, down, along, k)
+            found[place, k] += gain[place] * said

@@ -1,0 +1,35 @@
+"""What there is to say about a map and a mask that were made: no Qt."""
+
+import numpy as np
+from napari.types import LayerDataTuple
+from numpy.typing import NDArray
+
+from napari_defocus.settings import CONFIDENT
+from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.layers.picture_signs import signs_of_picture
+from napari_defocus.widgets.layers.result_metadata import (
+    METADATA_KEY,
+    REGION,
+    confidence_description,
+    noise_description,
+)
+
+
+def summary_of(
+    results: list[LayerDataTuple], confidence: NDArray[np.floating] | None, picture: Picture
+) -> str:
+    """Return a few lines: what makes the map say little, of which part it is, how sure it is."""
+    made = results[-1][1]["metadata"][METADATA_KEY]
+    lines = signs_of_picture(picture.image)
+    # What is seen in the picture explains the doubt, too.
+    said = ("lens",) if lines else ("doubt", "lens")
+    lines += [made[name] for name in said if name in made]
+    if REGION in made:
+        lines.append(f"Measured: {made[REGION]['of']}")
+    lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
+    share = None if confidence is None else (confidence >= CONFIDENT).mean()
+    if share == 0:
+        lines.append("Nothing can be known here: it has no texture that tells of blur.")
+    elif share is not None:
+        lines.append(confidence_description(share))
+    return "\n".join(lines)
