@@ -515,7 +515,7 @@ def test_confidence_without_its_map_is_refused(folder, instant, command):
     save_map(folder / "sure.tif", np.ones((HEIGHT, WIDTH)))
     options = {"restore": [], "refocus": ["--focus", 1], "depth": LENS_OPTIONS}[command]
     result = run(command, folder / "p.png", "--map-confidence", folder / "sure.tif", *options)
-    assert_fails_in_one_line(result, saying="map_confidence")
+    assert_fails_in_one_line(result, saying="--map-confidence")
     assert not instant, "nothing was computed"
 
 
