@@ -135,7 +135,7 @@ def test_what_is_no_number_is_a_type_error(function, dtype):
 @TAKES_A_PICTURE
 @pytest.mark.parametrize("path", ["photo.jpg", Path("photo.jpg")])
 def test_path_in_place_of_a_picture_is_told_how_to_read_it(function, path):
-    with pytest.raises(TypeError, match=r"image is 'photo\.jpg'; .* read_picture"):
+    with pytest.raises(TypeError, match=r"image has dtype .* read_picture reads a file"):
         function(path)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -200,15 +199,11 @@ def given_image(name: str, values: ArrayLike) -> NDArray[Any]:
 
     Raises
     ------
-    TypeError
-        If it is the path of a file.
     ValueError
-        If it is no array.
+        If it is none.
     """
     if isinstance(values, np.ma.MaskedArray):
         return values
-    if isinstance(values, str | os.PathLike):
-        raise TypeError(f"{name} is {str(values)!r}; it takes an array, as read_picture returns it")
     try:
         return np.asarray(values)
     except ValueError as error:
@@ -287,7 +282,8 @@ def _checked_array(image: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_] | 
     given = given_image("image", image)
     if given.dtype.kind not in "buif":
         raise TypeError(
-            f"image has dtype {given.dtype}; it takes a real one (integers, floats or bool)"
+            f"image has dtype {given.dtype}; it takes a real one (integers, floats or bool); "
+            "read_picture reads a file"
         )
     if not (given.ndim == 2 or (given.ndim == 3 and given.shape[2] in (3, 4))):
         raise ValueError(f"image has shape {given.shape}; it takes (H, W), (H, W, 3) or (H, W, 4)")
