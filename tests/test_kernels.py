@@ -38,15 +38,22 @@ from napari_defocus.labeling.pixel_refinement import (
 )
 from napari_defocus.likelihood.between_windows import _interpolate
 from napari_defocus.likelihood.blur_spectra import SpectrumTable
+from napari_defocus.likelihood.evidence import limited_below_top
 from napari_defocus.likelihood.gabor import _filtered, axis_filters, window_centers
 from napari_defocus.likelihood.ground_beside import _add_between
 from napari_defocus.likelihood.maxima import _pick_maxima, refine_maxima
+from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.likelihood.profile_likelihood import (
     noise_power,
     profile_log_likelihood,
     quasi_log_likelihood,
 )
-from napari_defocus.likelihood.scale_space import _add_level
+from napari_defocus.likelihood.scale_space import (
+    _add_level,
+    _on_axis,
+    _share_below,
+    joined_scales,
+)
 from napari_defocus.restoration.deconvolution import _graph_laplacian, _irls_weights
 from napari_defocus.stacks.depth_from_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
 
@@ -372,6 +379,37 @@ def test_nodes_near_a_label_are_those_around_nodes_that_have_about_it():
     assert _near(labels, 5, 0, 1).tolist() == [5, 6, 7, 10, 12]
     assert _near(labels, 5, 1, 1).tolist() == [5, 6, 7, 10, 12]
     assert _near(labels, 8, 1, 1).tolist() == [8, 9, 13, 14]
+
+
+def test_curves_are_limited_below_their_tops():
+    curve = np.random.default_rng(0).normal(0, 10, (3, 4, 7)).astype(np.float32)
+    expected = np.maximum(curve - curve.max(axis=2, keepdims=True), -15)
+    np.testing.assert_allclose(limited_below_top(curve), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("prior", [False, True])
+def test_share_below_a_scale_compares_the_best_on_both_sides(prior):
+    curve = np.random.default_rng(0).normal(0, 2, (3, 4, 81)).astype(np.float32)
+    scales = 0.1 * np.arange(81)
+    likely = curve + log_prior(scales) if prior else curve
+    rise = likely[..., :31].max(axis=2) - likely[..., 31:].max(axis=2)
+    found = _share_below(curve, scales, 3.0, prior=prior)
+    np.testing.assert_allclose(found, np.clip(0.5 + rise / 6, 0, 1), atol=1e-5)
+
+
+def test_a_level_is_put_on_the_axis_of_all():
+    curve = np.random.default_rng(0).normal(0, 2, (2, 3, 81)).astype(np.float32)
+    own, scales = 0.1 * np.arange(81), joined_scales(32.0, 41, 3)
+    found = _on_axis(curve, 2, scales, own, 3.0, 2.0)
+    little = curve[..., :21].max(axis=2)
+    plain = np.apply_along_axis(lambda line: np.interp(scales / 2, own, line), 2, curve)
+    for k, scale in enumerate(scales):
+        if scale > 16:
+            expected = curve[..., 30:].max(axis=2)
+        else:
+            expected = little if scale <= 4 else plain[..., k]
+        if not 4 < scale < 4.2:  # between the last one of the class and the next
+            np.testing.assert_allclose(found[..., k], expected, atol=1e-5)
 
 
 def test_limited_depth_is_weighted_and_0_at_the_top():

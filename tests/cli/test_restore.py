@@ -515,7 +515,7 @@ def test_confidence_without_its_map_is_refused(folder, instant, command):
     save_map(folder / "sure.tif", np.ones((HEIGHT, WIDTH)))
     options = {"restore": [], "refocus": ["--focus", 1], "depth": LENS_OPTIONS}[command]
     result = run(command, folder / "p.png", "--map-confidence", folder / "sure.tif", *options)
-    assert_fails_in_one_line(result, saying="map_confidence")
+    assert_fails_in_one_line(result, saying="--map-confidence")
     assert not instant, "nothing was computed"
 
 
@@ -535,9 +535,9 @@ def test_what_is_read_is_never_overwritten(folder, instant, command, name):
 @pytest.mark.parametrize(
     ("arguments", "saying"),
     [
-        (["restore", "--tv-weight", 0], "tv_weight"),
-        (["restore", "--tv-weight", "nan"], "tv_weight"),
-        (["restore", "--noise-variance", -1], "noise_variance"),
+        (["restore", "--tv-weight", 0], "--tv-weight is 0"),
+        (["restore", "--tv-weight", "nan"], "--tv-weight is nan"),
+        (["restore", "--noise-variance", -1], "--noise-variance is -1"),
         (["restore", "--psf", "square"], "psf is 'square'"),
         (["restore", "-o", "p.jpg"], "must end in"),
         (["restore", "-o", "none/p.png"], "there is no folder"),
@@ -547,14 +547,14 @@ def test_what_is_read_is_never_overwritten(folder, instant, command, name):
         (["refocus", "--aperture", -1], "aperture is -1"),
         (["refocus", "--aperture", "nan"], "aperture is nan"),
         (["refocus", "--focus", 1, "--sharp-at", 2], "one of them is enough"),
-        (["refocus", "--focus", 1, "--f-number", 2], "f_number is 2.0, but only sharp_at"),
-        (["refocus", "--sharp-at", 0, *LENS_OPTIONS], "sharp_at is 0.0"),
-        (["refocus", "--sharp-at", "nan", *LENS_OPTIONS], "sharp_at is nan"),
-        (["refocus", "--sharp-at", 1e-320, *LENS_OPTIONS], "sharp_at is 1e-320"),
-        (["refocus", "--sharp-at", 2, "--f-number", 2], "does not note focal_length_mm, focus_"),
+        (["refocus", "--focus", 1, "--f-number", 2], "--f-number is 2.0, but only --sharp-at"),
+        (["refocus", "--sharp-at", 0, *LENS_OPTIONS], "--sharp-at is 0.0"),
+        (["refocus", "--sharp-at", "nan", *LENS_OPTIONS], "--sharp-at is nan"),
+        (["refocus", "--sharp-at", 1e-320, *LENS_OPTIONS], "--sharp-at is 1e-320"),
+        (["refocus", "--sharp-at", 2, "--f-number", 2], "does not note --focal-length, --focus-"),
         (["refocus", "--sharp-at", 2, *LENS_OPTIONS, "--focus-distance", "inf"], "'near'"),
-        (["refocus", "--sharp-at", 2, *LENS_OPTIONS, "--f-number", 0], "f_number is 0"),
-        (["refocus", "--focus", 1, "--tv-weight", -1], "tv_weight"),
+        (["refocus", "--sharp-at", 2, *LENS_OPTIONS, "--f-number", 0], "--f-number is 0"),
+        (["refocus", "--focus", 1, "--tv-weight", -1], "--tv-weight is -1"),
         (["refocus", "--focus", 1, "--psf", "square"], "psf is 'square'"),
         (["refocus", "--focus", 1, "-o", "p.gif"], "must end in"),
     ],

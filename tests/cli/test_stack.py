@@ -48,6 +48,9 @@ def test_composite_and_positions_are_those_of_the_function_and_keep_the_scale(st
     assert "7 planes of 120 x 100 px" in result.stdout
     assert names_in(folder) == ["sure.tif", "worm-sharpest.tif", "worm.tif", "z.tif"]
     found = napari_defocus.sharpest_plane(planes, axes="zyx")
+    best, second = np.argsort(found.share_of_plane)[:-3:-1]
+    shares = f"{found.share_of_plane[best]:.0%}", f"{found.share_of_plane[second]:.0%}"
+    assert f"plane {best} ({shares[0]}); then {second} ({shares[1]})" in result.stdout
     np.testing.assert_array_equal(tifffile.imread(folder / "worm-sharpest.tif"), found.composite)
     np.testing.assert_array_equal(tifffile.imread(position), found.position)
     np.testing.assert_array_equal(tifffile.imread(sure), found.confidence)
@@ -100,7 +103,7 @@ def test_all_channels_are_put_together_at_the_positions_of_one(tmp_path, small):
     ("arguments", "saying"),
     [
         (["-o", "x.png"], "must end in .tif"),
-        (["--px-per-plane", "0"], "px_per_plane is 0"),
+        (["--px-per-plane", "0"], "--px-per-plane is 0"),
         (["-o", "worm.tif", "--force"], "it is a file that is read"),
     ],
 )

@@ -1,5 +1,7 @@
 """What counts as a picture, and how its numbers become intensities."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -131,6 +133,13 @@ def test_what_is_no_number_is_a_type_error(function, dtype):
 
 
 @TAKES_A_PICTURE
+@pytest.mark.parametrize("path", ["photo.jpg", Path("photo.jpg")])
+def test_path_in_place_of_a_picture_is_told_how_to_read_it(function, path):
+    with pytest.raises(TypeError, match=r"image has dtype .* read_picture reads a file"):
+        function(path)
+
+
+@TAKES_A_PICTURE
 @pytest.mark.parametrize(
     "shape",
     [(40,), (5, 30, 40, 3), (30, 40, 1), (30, 40, 2), (30, 40, 5), (3, 30, 40), ()],
@@ -162,7 +171,9 @@ def test_infinity_is_a_value_error(function, value):
     [(1, 0), (0, 0), (0, np.nan), (0, np.inf), (1, 2, 3), 5, ("dark", "bright"), (None, None)],
 )
 def test_intensity_range_is_two_increasing_finite_numbers(function, intensity_range):
-    with pytest.raises(ValueError, match=r"intensity_range is .* takes two finite numbers"):
+    with pytest.raises(
+        ValueError, match=r"intensity_range is .* takes two finite .* higher one last"
+    ):
         function(np.zeros((30, 40)), intensity_range=intensity_range)
 
 

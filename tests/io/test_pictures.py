@@ -302,6 +302,7 @@ def test_stack_is_refused_with_its_shape(tmp_path, rng):
     message = refusal_of(path)
     assert "5 x 24 x 20" in message
     assert "napari-defocus batch reads stacks" in message
+    assert "sharpest makes one sharp picture" in message
 
 
 def test_tiff_of_several_pictures_is_refused(tmp_path, rng):

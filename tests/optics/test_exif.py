@@ -145,8 +145,8 @@ def test_all_that_is_missing_is_named_in_one_line(photograph):
     with pytest.raises(ValueError, match="does not note") as caught:
         ThinLens.from_exif(file)
     assert str(caught.value) == (
-        f"{file} does not note focal_length_mm, f_number, focus_distance_m and pixel_pitch_um; "
-        "give what is missing"
+        f"the EXIF of {file} does not note focal_length_mm, f_number, focus_distance_m and "
+        "pixel_pitch_um; give what is missing"
     )
     with pytest.raises(ValueError, match="does not note focus_distance_m; give"):
         ThinLens.from_exif(photograph(**{**NOTED, "SubjectDistance": IFDRational(0, 1)}))

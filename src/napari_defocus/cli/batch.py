@@ -97,7 +97,7 @@ def batch(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure many pictures and stacks: a map and a row of a table for each plane.
+    """Measure many pictures and stacks: a map and a table row each.
 
     End it whenever you like: the same command goes on from there. A picture that cannot be
     measured is a row of the table that says why, and the exit code is then 1.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import inspect
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from napari_defocus.cli.console import errors_in_one_line, print_result, progress_in_terminal
 from napari_defocus.cli.option_groups import Reporting, with_options
+from napari_defocus.cli.option_words import options_of
 from napari_defocus.core.progress import CompilationClock, Progress
 
 Facts = Mapping[str, Any]
@@ -36,23 +37,32 @@ def command(
         taken["reporting"] = taken.pop("progress").replace(name="reporting", annotation=Reporting)
 
         def run_with(*, reporting: Reporting, **options: Any) -> None:
-            facts = run(lambda progress: work(**options, progress=progress), lines, reporting)
+            facts = run(
+                lambda progress: work(**options, progress=progress), lines, reporting, typed
+            )
             if end is not None:
                 end(facts)
 
         shown = with_options(run_with, list(taken.values()), text)
         shown.__doc__ = work.__doc__
+        typed = list(options_of(shown))
         return shown
 
     return made
 
 
 def run(
-    work: Callable[[Progress], dict[str, Any]], lines: Lines, reporting: Reporting
+    work: Callable[[Progress], dict[str, Any]],
+    lines: Lines,
+    reporting: Reporting,
+    options: Iterable[str] = (),
 ) -> dict[str, Any]:
-    """Do the work of a command, print the facts that it returns, and return them."""
+    """Do the work of a command, print the facts that it returns, and return them.
+
+    Errors name `options` as they are typed.
+    """
     started = time.perf_counter()
-    with errors_in_one_line():
+    with errors_in_one_line(options):
         with progress_in_terminal(reporting.quiet) as progress:
             clock = CompilationClock(progress)
             facts = work(clock)

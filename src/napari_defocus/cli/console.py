@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 import typer
 
+from napari_defocus.cli.option_words import in_option_words
 from napari_defocus.core.progress import Progress, silent
 
 FAILED, INTERRUPTED = 2, 130
@@ -42,10 +43,11 @@ def _end(number: int, frame: object) -> None:
 
 
 @contextmanager
-def errors_in_one_line() -> Iterator[None]:
+def errors_in_one_line(options: Iterable[str] = ()) -> Iterator[None]:
     """End a command with one line on standard error and exit code 2, or 130 if interrupted.
 
-    After a signal such as SIGTERM it is 128 and its number.
+    After a signal such as SIGTERM it is 128 and its number. The line names `options` as they are
+    typed.
     """
     try:
         yield
@@ -57,11 +59,11 @@ def errors_in_one_line() -> Iterator[None]:
             complain(told)
         raise typer.Exit(INTERRUPTED) from None
     except Exception as error:
-        complain(_told(error))
+        complain(_told(error, options))
         raise typer.Exit(FAILED) from None
 
 
-def _told(error: Exception) -> str:
+def _told(error: Exception, options: Iterable[str]) -> str:
     """Return a message in the words of the terminal."""
     from napari_defocus.core.writing import NeedsForce
 
@@ -69,8 +71,9 @@ def _told(error: Exception) -> str:
         return "there is not enough memory for this picture"
     if isinstance(error, NeedsForce):
         return error.told("--force")
-    known = isinstance(error, OSError | TypeError | ValueError)
-    return str(error) if known else f"{type(error).__name__}: {error}"
+    if isinstance(error, OSError | TypeError | ValueError):
+        return in_option_words(str(error), options)
+    return f"{type(error).__name__}: {error}"
 
 
 def complain(message: str) -> None:

@@ -74,7 +74,7 @@ def depth(
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Compute from the blur how far away, in m, everything in IMAGE is.
+    """Compute how far away, in m, everything in IMAGE is.
 
     It takes the lens: what IMAGE notes of it (EXIF), and what you give instead.
     """

@@ -69,7 +69,10 @@ def calibrate(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure the shape that your lens makes of a point, at a few settings of its focus."""
+    """Measure the shape that your lens makes of a point.
+
+    It is measured at a few settings of its focus.
+    """
     from napari_defocus.core.writing import check_results
     from napari_defocus.io.pictures import read_picture
 
@@ -139,7 +142,10 @@ def compare(
     intensity_range: tuple[float, float] | None = None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Compare how well lenses explain the blur of IMAGE, the best first."""
+    """Compare how well lenses explain the blur of IMAGE.
+
+    The best comes first.
+    """
     from napari_defocus.io.pictures import read_picture
     from napari_defocus.psf.parsing import psf_of
 

@@ -84,7 +84,7 @@ def restore(
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Bring all of IMAGE into focus, as far as its blur and its noise allow."""
+    """Bring all of IMAGE into focus, as far as noise allows."""
     from napari_defocus.io.provenance import ALL_IN_FOCUS
 
     outputs = output or beside(image, "-in-focus.png")
@@ -145,7 +145,7 @@ def refocus(
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Show IMAGE as if it had been focused elsewhere, or with another aperture.
+    """Show IMAGE with another focus or another aperture.
 
     --focus or --sharp-at says what becomes sharp, --aperture how blurred the rest becomes.
     """
@@ -243,7 +243,7 @@ def _check_change(
             if value is not None:
                 raise ValueError(f"{name} is {value}, but only sharp_at takes a lens")
         if focus in (None, RefocusSettings.focus) and aperture == RefocusSettings.aperture:
-            raise ValueError("nothing would change; give focus, sharp_at or aperture")
+            raise ValueError("nothing would change; give --focus, --sharp-at or --aperture")
     elif not sharp_at > 0:
         raise ValueError(f"sharp_at is {sharp_at}; it takes a distance above 0 m")
     RefocusSettings(focus=focus or 0.0, aperture=aperture)

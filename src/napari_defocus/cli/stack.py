@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Choice = Literal["auto", "yes", "no"]
 
+_PLANES_TOLD = 5
 _CHOICES: dict[Choice, Literal["auto"] | bool] = {"auto": "auto", "yes": True, "no": False}
 
 
@@ -43,12 +44,18 @@ def _lines(facts: Facts) -> Iterator[str]:
         yield "blur         not found: too little texture to see it grow from plane to plane"
     else:
         yield f"blur         grows by {facts['px_per_plane']:.2f} px from plane to plane"
-    share = 100.0 * facts["share_of_plane"][facts["best_plane"]]
-    yield f"sharpest     plane {facts['best_plane']} (from 0), on {share:.0f} % of the picture"
+    yield _sharpest_planes(facts["share_of_plane"])
     yield (
         f"confidence   {CONFIDENT:g} or more on {facts['confident_percent']:.1f} % of the picture"
     )
     yield from last_lines(facts)
+
+
+def _sharpest_planes(shares: Sequence[float]) -> str:
+    """Say where the plane that is the sharpest on most pixels is, and those that come next."""
+    order = sorted(range(len(shares)), key=lambda plane: -shares[plane])
+    best, *others = (f"{plane} ({shares[plane]:.0%})" for plane in order[:_PLANES_TOLD])
+    return f"sharpest     on most pixels: plane {best}; then {', '.join(others)} (counted from 0)"
 
 
 @command(
@@ -122,7 +129,10 @@ def sharpest(
     force: bool = False,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Find where each pixel of STACK is in focus, and make one picture of the sharpest."""
+    """Find where STACK is in focus, and make one sharp picture.
+
+    Each pixel has a plane in which it is the sharpest.
+    """
     from napari_defocus.core.axes import focus_axis
     from napari_defocus.core.writing import check_results
     from napari_defocus.io.open import open_stack

@@ -282,7 +282,8 @@ def _checked_array(image: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_] | 
     given = given_image("image", image)
     if given.dtype.kind not in "buif":
         raise TypeError(
-            f"image has dtype {given.dtype}; it takes a real one (integers, floats or bool)"
+            f"image has dtype {given.dtype}; it takes a real one (integers, floats or bool); "
+            "read_picture reads a file"
         )
     if not (given.ndim == 2 or (given.ndim == 3 and given.shape[2] in (3, 4))):
         raise ValueError(f"image has shape {given.shape}; it takes (H, W), (H, W, 3) or (H, W, 4)")
@@ -306,7 +307,8 @@ def checked_range(intensity_range: IntensityRange | None) -> IntensityRange | No
         low, high = np.nan, np.nan
     if not (np.isfinite([low, high]).all() and low < high):
         raise ValueError(
-            f"intensity_range is {intensity_range!r}; it takes two finite numbers (low, high)"
+            f"intensity_range is {intensity_range!r}; "
+            "it takes two finite numbers (low, high), the higher one last"
         )
     return low, high
 

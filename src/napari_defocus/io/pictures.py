@@ -215,7 +215,8 @@ def _single_plane(tiff: Any) -> Any:
     series = tiff.series[picture_number(tiff)]
     if series.axes not in ("YX", "YXS", "SYX"):
         raise ValueError(
-            f"it is {_told_stack(series)}; napari-defocus batch reads stacks, plane by plane"
+            f"it is {_told_stack(series)}; napari-defocus batch reads stacks, plane by plane, and "
+            "sharpest makes one sharp picture of planes through focus"
         )
     _refuse_bomb(series.keyframe.imagelength * series.keyframe.imagewidth)
     return series
@@ -313,7 +314,7 @@ def reading_failure(error: Exception, path: str | os.PathLike[str]) -> str:
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, IsADirectoryError):
-        return "it is a folder"
+        return "it is a folder; napari-defocus batch measures all pictures in it"
     if isinstance(error, UnidentifiedImageError):
         return kind_of(Path(path))
     if isinstance(error, MemoryError):

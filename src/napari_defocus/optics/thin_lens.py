@@ -169,7 +169,9 @@ class ThinLens:
         lens = {name: value for name, value in known.items() if value is not None}
         missing = [name for name in known if name not in lens]
         if missing:
-            raise ValueError(f"{path} does not note {_enumerated(missing)}; give what is missing")
+            raise ValueError(
+                f"the EXIF of {path} does not note {_enumerated(missing)}; give what is missing"
+            )
         try:
             return cls(**lens)
         except ValueError as error:

@@ -97,6 +97,7 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     if blur_map is not None and scale is not None:
         name = str(blur_map.metadata[METADATA_KEY].get("scale", BLUR_RADIUS))
         words.append(f"{scale_prefix(name)}{scale:.1f} px")
+    trusted = True
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
         # Rounded up, it might read like one that is trusted.
