@@ -16,6 +16,7 @@ from napari_defocus import (
     restore_all_in_focus,
     simulate_defocus,
 )
+from napari_defocus.restoration import all_in_focus
 from napari_defocus.restoration.all_in_focus import usual_tv_weight
 
 INNER = np.s_[10:-10, 10:-10]
@@ -169,8 +170,9 @@ def test_clipped_highlight_makes_no_ring(clouds):
     assert np.abs(sharp - light)[ring].mean() < 0.02
 
 
-def test_confidence_protects_where_the_map_is_wrong(coffee):
-    """Twice the radius on one half, with no confidence there."""
+def test_confidence_protects_where_the_map_is_wrong(coffee, monkeypatch):
+    """Twice the radius on one half, with no confidence there, and no other protection."""
+    monkeypatch.setattr(all_in_focus, "share_left", lambda sharp, *_: 0 * sharp[..., 0])
     true = np.full(coffee.shape[:2], 2.5)
     seen = simulate_defocus(coffee, true, noise_variance=1e-6, rng=0)
     wrong, sure = true.copy(), np.full(true.shape, 0.95)
