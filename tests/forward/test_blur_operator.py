@@ -22,7 +22,8 @@ def drawn():
 @pytest.mark.parametrize("psf", FAMILIES, ids=lambda psf: type(psf).__name__)
 @pytest.mark.parametrize("channels", [1, 3])
 def test_adjoint_has_the_same_weights(psf, channels, drawn):
-    scales = drawn.uniform(0, psf.max_scale, (37, 50)).astype(np.float32)
+    largest = min(psf.max_scale, 12.0)  # kernels of 64 px take half a minute
+    scales = drawn.uniform(0, largest, (37, 50)).astype(np.float32)
     blur = BlurOperator(scales, psf, channels)
     f = drawn.standard_normal((*blur.domain, channels), np.float32)
     y = drawn.standard_normal((*blur.shape, channels), np.float32)
