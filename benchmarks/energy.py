@@ -81,17 +81,19 @@ class Problem:
     picture: PreparedImage
     blocks: Blocks
     cost: np.ndarray
-    position: np.ndarray
+    block_weight: np.ndarray
+    pixel_weight: np.ndarray
 
     @classmethod
     def of(cls, picture: np.ndarray) -> "Problem":
         scene = LabelingProblem.of(estimate_candidates(picture), picture)
-        return cls(scene.own, scene.picture, scene.blocks, scene.cost(CURVE_WEIGHT), scene.position)
+        cost, weights = scene.cost(CURVE_WEIGHT), (scene.block_weight, scene.pixel_weight)
+        return cls(scene.own, scene.picture, scene.blocks, cost, *weights)
 
     def of_windows(self) -> tuple[np.ndarray, np.ndarray]:
         """Return costs and weights of the grid of windows."""
         weights = self.blocks.edge_weights(self.picture.color, COLOR_SIGMA, SMOOTHNESS)
-        return self.cost * self.blocks.area[..., None], weights
+        return self.cost * self.block_weight[..., None], weights
 
     def of_pixels(self) -> tuple[np.ndarray, np.ndarray]:
         """Return costs and weights of all pixels; the costs are interpolated."""
@@ -103,6 +105,7 @@ class Problem:
             mean = (1 - share) * cost.take(low, axis) + share * cost.take(high, axis)
             cost = mean.astype(np.float32)
         everywhere = np.ones(self.picture.shape, bool)
+        cost *= self.pixel_weight[..., None]
         return cost, pixel_weights(self.picture.color, everywhere, COLOR_SIGMA, SMOOTHNESS)
 
 
@@ -120,8 +123,7 @@ class Solved:
         data, weights = problem.of_windows()
         minimize_energy(data[:40, :40], weights_within(weights, 40))  # compiled
         solvers = minimize_energy, expand_until_settled, solve_exactly
-        at = problem.position
-        found = [energy_and_time(solve, data, weights, at) for solve in solvers[: 2 + exact]]
+        found = [energy_and_time(solve, data, weights) for solve in solvers[: 2 + exact]]
         return cls(data.shape[:2], *found, *([] if exact else [(np.nan, np.nan)]))
 
 
@@ -156,8 +158,7 @@ def grid_row(problem: Problem, exact: bool) -> str:
 
 def full_row(problem: Problem, exact: bool) -> str:
     data, weights = problem.of_pixels()
-    at = problem.position
-    labels = minimize_energy(*problem.of_windows(), position=at)
+    labels = minimize_energy(*problem.of_windows())
     pixels = label_pixels(
         labels,
         problem.cost,
@@ -167,19 +168,17 @@ def full_row(problem: Problem, exact: bool) -> str:
         color_sigma=COLOR_SIGMA,
         jump=JUMP,
         reach=REACH,
-        position=at,
+        weight=problem.pixel_weight,
     )
     began = time.perf_counter()
-    improved = improve(pixels, data, weights, position=at)
+    improved = improve(pixels, data, weights)
     seconds = time.perf_counter() - began
     began = time.perf_counter()
-    settled = [
-        expand_until_settled(data, weights, start=start, position=at) for start in (pixels, None)
-    ]
+    settled = [expand_until_settled(data, weights, start=start) for start in (pixels, None)]
     reference_seconds = time.perf_counter() - began
-    reference = min(energy_of(each, data, weights, at) for each in settled)
+    reference = min(energy_of(each, data, weights) for each in settled)
     gaps = (
-        above(energy_of(each, data, weights, at), reference)
+        above(energy_of(each, data, weights), reference)
         for each in (problem.blocks.spread(labels), pixels, improved)
     )
     return " | ".join(
@@ -196,11 +195,11 @@ def weights_within(weights: np.ndarray, side: int) -> np.ndarray:
 
 
 def energy_and_time(
-    solve: Callable[..., np.ndarray], data: np.ndarray, weights: np.ndarray, position: np.ndarray
+    solve: Callable[..., np.ndarray], data: np.ndarray, weights: np.ndarray
 ) -> tuple[float, float]:
     began = time.perf_counter()
-    labels = solve(data, weights, position=position)
-    return energy_of(labels, data, weights, position), time.perf_counter() - began
+    labels = solve(data, weights)
+    return energy_of(labels, data, weights), time.perf_counter() - began
 
 
 def above(energy: float, reference: float) -> float:

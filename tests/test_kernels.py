@@ -271,10 +271,6 @@ def test_block_weights_are_sums_of_16(shape, stride):
     np.testing.assert_allclose(matrix(edges, rows * columns), expected, rtol=1e-5)
 
 
-POSITION = np.array([0, 1, 2, 4.5], np.float32)
-"""Of labels whose last one is farther away than the others."""
-
-
 def test_pixel_weights_are_16_where_a_pixel_is_given():
     color = np.random.default_rng(0).uniform(0.4, 0.6, (4, 5, 2)).astype(np.float32)
     near = np.zeros((4, 5), bool)
@@ -295,11 +291,9 @@ def test_energy_of_pixels_is_14():
     expected = sum(
         map_coordinates(cost[..., label], at, order=1)[labels == label].sum() for label in range(4)
     )
-    at = POSITION[labels].ravel()
-    expected += np.sum(color_matrix(color, 0.1, 20.0) * np.abs(np.subtract.outer(at, at))) / 2
-    found = energy_of_pixels(
-        labels, cost, blocks, color, smoothness=20.0, color_sigma=0.1, position=POSITION
-    )
+    jumps = np.abs(np.subtract.outer(labels.ravel(), labels.ravel()))
+    expected += np.sum(color_matrix(color, 0.1, 20.0) * jumps) / 2
+    found = energy_of_pixels(labels, cost, blocks, color, smoothness=20.0, color_sigma=0.1)
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
@@ -315,12 +309,12 @@ def test_coarser_costs_are_sums_of_the_least_with_a_price_for_the_distance():
     data = np.random.default_rng(0).uniform(0, 5, (3, 4, 4)).astype(np.float32)
     weights = random_weights(3, 4)
     price = _RELAXATION * weights.sum(axis=0)[..., None, None]
-    distance = np.abs(np.subtract.outer(POSITION, POSITION))
+    distance = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
     relaxed = np.min(data[:, :, None] + price * distance, axis=3)
     for agreed, cost in {False: relaxed, True: data}.items():
         padded = np.pad(cost, [(0, 1), (0, 0), (0, 0)])
         expected = padded.reshape(2, 2, 2, 2, 4).sum(axis=(1, 3))
-        found, _ = coarser(data, weights, POSITION, agreed=agreed)
+        found, _ = coarser(data, weights, agreed=agreed)
         np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
@@ -332,9 +326,9 @@ def costs_and_weights(labels):
 def test_thresholds_give_the_best_of_all_labelings():
     data, weights = costs_and_weights(4)
     labelings = (np.reshape(some, (2, 2)).astype(np.int32) for some in product(range(4), repeat=4))
-    least = min(energy_of(labels, data, weights, POSITION) for labels in labelings)
-    found = solve_exactly(data, weights, position=POSITION)
-    np.testing.assert_allclose(energy_of(found, data, weights, POSITION), least, rtol=1e-6)
+    least = min(energy_of(labels, data, weights) for labels in labelings)
+    found = solve_exactly(data, weights)
+    np.testing.assert_allclose(energy_of(found, data, weights), least, rtol=1e-6)
 
 
 @pytest.mark.parametrize("proposal", [[1, 1, 1, 1], [2, 0, 3, 3]])
@@ -347,20 +341,18 @@ def test_fusion_is_the_best_of_all_mixtures(proposal):
         np.where(np.reshape(taken, (2, 2)), proposal, labels)
         for taken in product([False, True], repeat=4)
     )
-    least = min(energy_of(some, data, weights, POSITION) for some in mixtures)
+    least = min(energy_of(some, data, weights) for some in mixtures)
     change = _change(labels, proposal, place, data)
-    found = fuse(labels, proposal, place, change, weights, POSITION)
-    np.testing.assert_allclose(energy_of(found, data, weights, POSITION), least, rtol=1e-6)
+    found = fuse(labels, proposal, place, change, weights)
+    np.testing.assert_allclose(energy_of(found, data, weights), least, rtol=1e-6)
 
 
 def test_flow_leaves_the_value_of_every_cut():
     rng = np.random.default_rng(2)
     labels, proposal = rng.permuted(np.arange(8).reshape(2, 2, 2), axis=0).astype(np.int32)
-    position = np.arange(8, dtype=np.float32)
     place, weights = np.arange(4), random_weights(2, 2)
     change = rng.normal(0, 2, 4)
-    graph = _fusion_graph(labels, proposal, place, change, weights, position)
-    cost, tail, head, capacity = graph
+    cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
     assert (tail < head).all()
     assert (np.diff(tail) >= 0).all()
     left = cost.copy()

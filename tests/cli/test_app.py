@@ -519,8 +519,8 @@ def test_picture_that_does_not_look_like_defocus_is_said_to(tmp_path, gravel, co
 @pytest.mark.parametrize(
     ("pixels", "said"),
     [
-        (np.full((10, 10), 90, np.uint8), ["smaller than one window", "the same value"]),
-        (np.arange(100, dtype=np.uint8).reshape(10, 10), ["smaller than one window"]),
+        (np.full((10, 10), 90, np.uint8), ["The picture is small", "the same value"]),
+        (np.arange(100, dtype=np.uint8).reshape(10, 10), ["The picture is small"]),
         (np.full((60, 80, 3), 255, np.uint8), ["the same value"]),
     ],
 )

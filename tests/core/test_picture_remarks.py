@@ -1,29 +1,47 @@
 """A picture that can tell little of its blur is not measured without a word."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import napari_defocus
+from napari_defocus import read_picture
 from napari_defocus.core.picture_remarks import picture_remarks
+
+SAMPLES = Path(napari_defocus.__file__).parent / "samples"
 
 
 @pytest.fixture
 def noise():
-    return np.random.default_rng(2).integers(20, 200, (60, 80, 3), dtype=np.uint8)
+    return np.random.default_rng(2).integers(20, 200, (120, 140, 3), dtype=np.uint8)
 
 
 def test_an_ordinary_picture_has_no_remark(noise):
-    noise[:5, :20] = 255  # a lamp, 2 % of it
+    noise[:15, :20] = 255  # a lamp, 2 % of it
     assert picture_remarks(noise, 41) == []
 
 
-def test_a_picture_smaller_than_a_window_says_so(noise):
-    [remark] = picture_remarks(noise[:40], 41)
-    assert "smaller than one window (41 x 41 px)" in remark
+@pytest.mark.parametrize("name", ["dandelion.jpg", "brushes.jpg"])
+def test_photographs_have_no_remark(name):
+    assert picture_remarks(read_picture(SAMPLES / name), 41) == []
+
+
+@pytest.mark.parametrize("height", [40, 80])
+def test_a_picture_of_less_than_two_windows_says_so(noise, height):
+    [remark] = picture_remarks(noise[:height], 41)
+    assert f"small (140 x {height} px)" in remark
+
+
+@pytest.mark.parametrize("mask", [np.eye(120) > 0, np.eye(120, dtype=np.uint8) * 3])
+def test_a_mask_is_told_from_a_picture(mask):
+    [remark] = picture_remarks(mask, 41)
+    assert "only 2 different values, like a mask" in remark
 
 
 @pytest.mark.parametrize("value", [0, 90, 255])
 def test_a_flat_picture_says_so(value):
-    [remark] = picture_remarks(np.full((60, 80), value, np.uint8), 41)
+    [remark] = picture_remarks(np.full((120, 140), value, np.uint8), 41)
     assert "All pixels have the same value" in remark
 
 
@@ -32,7 +50,7 @@ def test_a_flat_picture_says_so(value):
 )
 def test_a_saturated_picture_says_how_much_of_it_is(noise, white, dtype):
     picture = (noise / 255 * white).astype(dtype)
-    picture[:30] = white
+    picture[:60] = white
     [remark] = picture_remarks(picture, 41)
     assert remark.startswith("50 % of the pixels are saturated")
 
@@ -46,5 +64,5 @@ def test_what_is_not_known_does_not_count(noise):
     picture = noise.astype(np.float32)
     picture[:30] = np.nan
     assert picture_remarks(picture, 41) == []
-    [remark] = picture_remarks(np.full((60, 80), np.nan), 41)
+    [remark] = picture_remarks(np.full((120, 140), np.nan), 41)
     assert remark == "No pixel is known: all are transparent, NaN or masked."

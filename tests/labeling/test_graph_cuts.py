@@ -54,9 +54,7 @@ def fused(labels, proposal, data, weights):
     """The fusion, with costs of labels."""
     place = np.flatnonzero(labels != proposal)
     change = [np.take_along_axis(data, each[..., None], 2).ravel() for each in (proposal, labels)]
-    position = np.arange(data.shape[2], dtype=np.float32)
-    change = (change[0] - change[1])[place].astype(float)
-    return fuse(labels, proposal, place, change, weights, position)
+    return fuse(labels, proposal, place, (change[0] - change[1])[place].astype(float), weights)
 
 
 def explicit_energy(labels, data, weights):

@@ -172,7 +172,7 @@ def test_clipped_highlight_makes_no_ring(clouds):
 
 def test_confidence_protects_where_the_map_is_wrong(coffee, monkeypatch):
     """Twice the radius on one half, with no confidence there, and no other protection."""
-    monkeypatch.setattr(all_in_focus, "share_left", lambda sharp, *_: 0 * sharp[..., 0])
+    monkeypatch.setattr(all_in_focus, "unrestored_share", lambda sharp, *_: 0 * sharp[..., 0])
     true = np.full(coffee.shape[:2], 2.5)
     seen = simulate_defocus(coffee, true, noise_variance=1e-6, rng=0)
     wrong, sure = true.copy(), np.full(true.shape, 0.95)

@@ -3,7 +3,7 @@ import pytest
 
 from napari_defocus import restore_all_in_focus, simulate_defocus
 from napari_defocus.restoration import all_in_focus
-from napari_defocus.restoration.damage import share_left
+from napari_defocus.restoration.damage import unrestored_share
 
 
 @pytest.fixture(scope="module")
@@ -19,8 +19,8 @@ def test_what_a_wrong_map_would_ruin_is_left_as_it_was(sharp, monkeypatch):
     seen = simulate_defocus(sharp, np.full(sharp.shape, 3.0), noise_variance=1e-6, rng=0)
     wrong = np.full(sharp.shape, 7.0)
     restored, fit = restore_all_in_focus(seen, wrong, return_fit=True, tv_weight=3e-5)
-    assert fit.left > 0.4
-    monkeypatch.setattr(all_in_focus, "share_left", lambda picture, *_: 0 * picture[..., 0])
+    assert fit.unrestored > 0.4
+    monkeypatch.setattr(all_in_focus, "unrestored_share", lambda picture, *_: 0 * picture[..., 0])
     ruined = restore_all_in_focus(seen, wrong, tv_weight=3e-5)
     assert error(restored, sharp) < 0.8 * error(ruined, sharp)
 
@@ -28,13 +28,13 @@ def test_what_a_wrong_map_would_ruin_is_left_as_it_was(sharp, monkeypatch):
 def test_a_right_map_leaves_nothing(sharp):
     seen = simulate_defocus(sharp, np.full(sharp.shape, 3.0), noise_variance=1e-6, rng=0)
     restored, fit = restore_all_in_focus(seen, np.full(sharp.shape, 3.0), return_fit=True)
-    assert fit.left < 0.01
+    assert fit.unrestored < 0.01
     assert error(restored, sharp) < error(seen, sharp)
 
 
 def test_only_the_surroundings_of_impossible_values_are_left():
     restored = np.full((200, 200, 1), 0.5, np.float32)
     restored[40:60:2, 40:60] = 1.4
-    left = share_left(restored, np.full((200, 200), 3.0, np.float32), 1.0)
+    left = unrestored_share(restored, np.full((200, 200), 3.0, np.float32), 1.0)
     assert left[50, 50] > 0.95
     assert left[100:].max() < 0.01

@@ -22,15 +22,14 @@ class Labels:
         weights = scene.blocks.edge_weights(
             scene.picture.color, MapSettings.color_sigma, MapSettings.smoothness
         )
-        self.problem = scene.cost(CURVE_WEIGHT) * scene.blocks.area[..., None], weights
-        self.position = scene.position
-        self.labels = minimize_energy(*self.problem, position=self.position)
+        self.problem = scene.cost(CURVE_WEIGHT) * scene.block_weight[..., None], weights
+        self.labels = minimize_energy(*self.problem)
 
     def time_map(self, side: int) -> None:
         label_blur_map(self.ready.candidates, self.ready.picture)
 
     def time_cuts(self, side: int) -> None:
-        minimize_energy(*self.problem, position=self.position)
+        minimize_energy(*self.problem)
 
     def time_refinement(self, side: int) -> None:
         likeness = self.problem[1] / MapSettings.smoothness

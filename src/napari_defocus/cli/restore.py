@@ -57,8 +57,8 @@ def _weight_line(facts: Facts) -> str:
     return line
 
 
-def _left_lines(facts: Facts) -> Iterator[str]:
-    percent = 100 * facts["left"]
+def _unrestored_lines(facts: Facts) -> Iterator[str]:
+    percent = 100 * facts["unrestored"]
     if percent >= _LEAST_PERCENT:
         yield f"left         {percent:.0f} % of the picture as it was: there would be rings"
 
@@ -66,14 +66,14 @@ def _left_lines(facts: Facts) -> Iterator[str]:
 def _restored_lines(facts: Facts) -> Iterator[str]:
     yield from lines_of(facts)
     yield _weight_line(facts)
-    yield from _left_lines(facts)
+    yield from _unrestored_lines(facts)
     yield from last_lines(facts)
 
 
 def _refocused_lines(facts: Facts) -> Iterator[str]:
     yield from lines_of(facts)
     yield _weight_line(facts)
-    yield from _left_lines(facts)
+    yield from _unrestored_lines(facts)
     if "thin_lens" in facts:
         yield lens_line(facts)
     yield side_line(facts)
@@ -112,7 +112,7 @@ def restore(
         picture, found, settings, asked, settings.linearize, intensity_range, second
     )
     found = replace(found, noise_variance=fit.noise_variance)
-    shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "left": fit.left}
+    shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "unrestored": fit.unrestored}
     facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
@@ -181,7 +181,7 @@ def refocus(
         picture, _sure(found), settings, asked, light, intensity_range, restored
     )
     change["restoring_noise_variance"] = fit.noise_variance
-    change |= {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "left": fit.left}
+    change |= {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "unrestored": fit.unrestored}
     change |= {"risk": asked.risk}
     view = RefocusSettings(focus=change["focus_px"], aperture=aperture, side=side, linearize=light)
     changed = napari_defocus.change_focus(

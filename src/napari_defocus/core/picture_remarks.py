@@ -10,6 +10,15 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.known_pixels import known_pixels
 
+_WINDOWS = 2
+"""A picture of fewer windows along its shorter side is small. Chosen by hand."""
+
+_LOOKED_AT = 200_000
+"""Pixels, spread over the picture, whose values are compared."""
+
+_FEW = 8
+"""Different values: grey pictures have more. Chosen by hand."""
+
 _SATURATED = 0.05
 """Share of pixels. In 17 photographs with skies and lamps it is 0.03 or less."""
 
@@ -26,7 +35,7 @@ def picture_remarks(picture: NDArray[Any], window: int) -> list[str]:
     Returns
     -------
     list of str
-        It is smaller than one window; it is flat; many of its pixels are saturated.
+        It is small, flat, or a mask, or many of its pixels are saturated. Empty if nothing is odd.
 
     Examples
     --------
@@ -37,10 +46,11 @@ def picture_remarks(picture: NDArray[Any], window: int) -> list[str]:
 
 
 def _of_size(picture: NDArray[Any], window: int) -> Iterator[str]:
-    if min(picture.shape[:2]) < window:
+    height, width = picture.shape[:2]
+    if min(height, width) < _WINDOWS * window:
         yield (
-            f"The picture is smaller than one window ({window} x {window} px), so its radii are "
-            "rough guesses."
+            f"The picture is small ({width} x {height} px). Each radius is measured in a window of "
+            f"{window} x {window} px, so one place is hardly told from another."
         )
 
 
@@ -55,8 +65,16 @@ def _of_values(picture: NDArray[Any]) -> Iterator[str]:
     if (values == values[0]).all():
         yield "All pixels have the same value, so there is no blur to see."
         return
-    saturated = float((values == values.max()).all(axis=1).mean())
-    if saturated > _SATURATED and values.dtype != bool:
+    some = values[:: max(1, len(values) // _LOOKED_AT)]
+    different = len(np.unique(some))
+    if different <= _FEW:
+        yield (
+            f"The picture has only {different} different values, like a mask or a drawing. Blur is "
+            "measured on photographs and micrographs."
+        )
+        return
+    saturated = float((some == values.max()).all(axis=1).mean())
+    if saturated > _SATURATED:
         yield (
             f"{100 * saturated:.0f} % of the pixels are saturated (as bright as the picture can "
             "be), so there is no blur to see there."

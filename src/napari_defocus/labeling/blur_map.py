@@ -79,16 +79,13 @@ def labeled_blur_map(
     cost, block_cost, weights = _problem_of_blocks(problem, settings)
     choosing = within(progress, 0.0, 0.7, step)
     if around is not None:
-        around.hold(block_cost, _HOLD * smoothness, problem.position)
-    position = problem.position
+        around.hold(block_cost, _HOLD * smoothness)
     if candidates.mode == "paper":
-        labels = expand_until_settled(block_cost, weights, choosing, position=position)
+        labels = expand_until_settled(block_cost, weights, choosing)
     elif around is not None:
-        labels = minimize_energy_from(
-            around.labels, block_cost, weights, choosing, position=position
-        )
+        labels = minimize_energy_from(around.labels, block_cost, weights, choosing)
     else:
-        labels = minimize_energy(block_cost, weights, choosing, position=position)
+        labels = minimize_energy(block_cost, weights, choosing)
     progress("Following the picture's edges", 0.7)
     pixels = label_pixels(
         labels,
@@ -99,7 +96,6 @@ def labeled_blur_map(
         color_sigma=problem.sigma(color_sigma),
         jump=JUMP,
         reach=REACH,
-        position=position,
         weight=problem.pixel_weight,
         progress=within(progress, 0.7, 0.9),
     )
@@ -128,18 +124,18 @@ def _problem_of_blocks(
 
 def coarse_problem(
     problem: LabelingProblem, levels: int, settings: MapSettings
-) -> tuple[Float32, Float32, Float32]:
+) -> tuple[Float32, Float32]:
     """Return what is minimised, on a grid that is coarser by so many powers of two.
 
     Returns
     -------
-    data, weights, position : ndarray
+    data, weights : ndarray
         As `minimize_energy` takes them.
     """
     _, data, weights = _problem_of_blocks(problem, settings)
     for _ in range(levels):
-        data, weights = coarser(data, weights, problem.position)
-    return data, weights, problem.position
+        data, weights = coarser(data, weights)
+    return data, weights
 
 
 def preview_of_blur_map(
@@ -159,7 +155,6 @@ def preview_of_blur_map(
         cost,
         weights,
         within(progress, 0.0, 1.0, "Preview"),
-        position=problem.position,
         coarse=True,
     )
     axis = problem.own.scales.astype(np.float32)
@@ -232,6 +227,5 @@ def labeling_energy(
         problem.color,
         smoothness=smoothness,
         color_sigma=problem.sigma(color_sigma),
-        position=problem.position,
         weight=problem.pixel_weight,
     )

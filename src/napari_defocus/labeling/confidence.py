@@ -78,7 +78,7 @@ def map_confidence(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     radius = checked_map(blur_map, candidates.image_shape)
     places = _at_windows(candidates, radius)
     probability = window_confidence(candidates, averaged_curve(candidates), *places)
-    return np.clip(between_windows(probability, candidates), 0, 1)
+    return np.clip(at_pixels(probability, candidates), 0, 1)
 
 
 def confidence_and_caution(
@@ -95,8 +95,8 @@ def confidence_and_caution(
     excess = np.maximum(at_windows - _safe_at_windows(candidates, curve, at_windows, sure, risk), 0)
     excess = gaussian_filter(excess, _CAUTION_SIGMA / candidates.stride)
     return (
-        np.clip(between_windows(sure, candidates), 0, 1),
-        np.maximum(radius - between_windows(excess, candidates), 0),
+        np.clip(at_pixels(sure, candidates), 0, 1),
+        np.maximum(radius - at_pixels(excess, candidates), 0),
     )
 
 
@@ -247,7 +247,7 @@ def _at_windows(candidates: BlurCandidates, radius: Float64) -> tuple[Float64, F
     return radius[windows], jump[windows]
 
 
-def between_windows(values: Float64, candidates: BlurCandidates) -> Float32:
+def at_pixels(values: Float64, candidates: BlurCandidates) -> Float32:
     """Interpolate from the windows' centres to all pixels."""
     height, width = candidates.image_shape
     rows = (np.arange(height) - candidates.row_centers[0]) / candidates.stride

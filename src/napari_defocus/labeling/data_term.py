@@ -22,9 +22,9 @@ Float32 = NDArray[np.float32]
 EXTRAPOLATED = 0.5
 """If the evidence is below this share, a map has its value from around."""
 
-SURE = np.float32(8)
-"""How many more pixels one counts as that shows sharp details itself: windows are wider than thin
-things (docs/decisions.md)."""
+EXTRA_OF_SHARP = np.float32(8)
+"""What is added to the weight, 1, of a pixel that shows sharp details itself. Windows are wider
+than thin things, so these would be outvoted (docs/decisions.md)."""
 
 KAPPA = np.array([1e-20, 1e-12, 1e-7, 1e-3, 1e-1, 1, 1e-1, 1e-3, 1e-7, 1e-12, 1e-20])
 """The kernel that widens candidates into an artificial likelihood (Section III-B)."""

@@ -1,11 +1,10 @@
 """Labels of low energy on a grid of nodes, by moves that are minimum cuts.
 
-The energy is (14): sum_x D_x(l_x) + sum_(x, v) w_xv |p(l_x) - p(l_v)|, over the 8 neighbours of
-each node, with any increasing positions p of the labels. Two kinds of minimum cuts change many
-labels at once:
+The energy is (14): sum_x D_x(l_x) + sum_(x, v) w_xv |l_x - l_v|, over the 8 neighbours of each
+node. Two kinds of minimum cuts change many labels at once:
 
 - a fusion offers every node one other label, any label, and is a plain minimum cut, because
-  |p(a) - p(b)| is submodular in "the node has the larger of its two labels"; an expansion if all
+  |a - b| is submodular in "the node has the larger of its two labels"; it is an expansion if all
   offers are the same label;
 - Ishikawa's graph, with a node for each threshold between two labels, gives the exact optimum
   over all labels; it is for few nodes, or few labels.
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.labeling.multigrid import STEPS, coarser, finer, positions_of
+from napari_defocus.labeling.multigrid import STEPS, coarser, finer
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -88,7 +87,6 @@ def minimize_energy(
     weights: Float32,
     progress: Progress = silent,
     *,
-    position: Float32 | None = None,
     coarse: bool = False,
     finest: bool = True,
 ) -> Labels:
@@ -101,8 +99,6 @@ def minimize_energy(
     weights : (4, R, C) float32 ndarray
         w between a node and its neighbour at each of `STEPS`; 0 where there is none.
     progress : callable, optional
-    position : (L,) float32 ndarray, optional
-        p, where each label is on the axis on which differences are counted; its number by default.
     coarse : bool, optional
         Stop before the finest grid: two by two nodes have a label in common.
     finest : bool, optional
@@ -115,8 +111,8 @@ def minimize_energy(
     """
     levels = [(data, weights)]
     while levels[-1][1][0].size > _COARSEST:
-        levels.append(coarser(*levels[-1], position))
-    labels = _coarse_start(*levels[-1], position)
+        levels.append(coarser(*levels[-1]))
+    labels = _coarse_start(*levels[-1])
     for depth, (level_data, level_weights) in enumerate(reversed(levels), 1):
         rows, columns = level_data.shape[:2]
         start = finer(labels, rows, columns) if depth > 1 else labels
@@ -126,25 +122,13 @@ def minimize_energy(
             return start
         report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
         everywhere = not (last and finest)
-        labels = improve(
-            start,
-            level_data,
-            level_weights,
-            position=position,
-            everywhere=everywhere,
-            progress=report,
-        )
+        labels = improve(start, level_data, level_weights, everywhere=everywhere, progress=report)
     progress(_STEP, 1.0)
     return labels
 
 
 def minimize_energy_from(
-    start: Labels,
-    data: Float32,
-    weights: Float32,
-    progress: Progress = silent,
-    *,
-    position: Float32 | None = None,
+    start: Labels, data: Float32, weights: Float32, progress: Progress = silent
 ) -> Labels:
     """Find labels of low energy from those of a coarser grid.
 
@@ -155,7 +139,7 @@ def minimize_energy_from(
     ----------
     start : (r, c) int32 ndarray
         r is R / 2, R / 4 or so, rounded up.
-    data, weights, position
+    data, weights
         As for `minimize_energy`.
     progress : callable, optional
 
@@ -165,7 +149,7 @@ def minimize_energy_from(
     """
     levels = [(data, weights)]
     while -(-levels[-1][0].shape[0] // 2) > start.shape[0]:
-        levels.append(coarser(*levels[-1], position))
+        levels.append(coarser(*levels[-1]))
     labels = start
     for depth in reversed(range(len(levels))):
         level_data, level_weights = levels[depth]
@@ -173,7 +157,6 @@ def minimize_energy_from(
             finer(labels, *level_data.shape[:2]),
             level_data,
             level_weights,
-            position=position,
             everywhere=depth > 0,
             progress=within(progress, 0.25 ** (depth + 1), 0.25**depth),
         )
@@ -181,14 +164,13 @@ def minimize_energy_from(
     return labels
 
 
-def _coarse_start(data: Float32, weights: Float32, position: Float32 | None) -> Labels:
+def _coarse_start(data: Float32, weights: Float32) -> Labels:
     """Find the labels of least energy among every fourth: they decide about whole regions."""
     every = np.ascontiguousarray(data[..., ::_COARSE_STEP])
-    some = positions_of(data, position)[::_COARSE_STEP]
-    return _COARSE_STEP * solve_exactly(every, weights, position=some)
+    return _COARSE_STEP * solve_exactly(every, weights * np.float32(_COARSE_STEP))
 
 
-def solve_exactly(data: Float32, weights: Float32, *, position: Float32 | None = None) -> Labels:
+def solve_exactly(data: Float32, weights: Float32) -> Labels:
     """Find the labels of least energy by one cut: for few nodes, or few labels.
 
     Parameters and result are those of `minimize_energy`; the cut has R x C x (L - 1) nodes.
@@ -196,10 +178,9 @@ def solve_exactly(data: Float32, weights: Float32, *, position: Float32 | None =
     rows, columns, count = data.shape
     if count == 2:
         low = np.zeros((rows, columns), np.int32)
-        return _fuse_labels(low, low + np.int32(1), data, weights, position)
+        return _fuse_labels(low, low + np.int32(1), data, weights)
     edges = Edges.of_grid(weights)
-    gap = np.diff(positions_of(data, position))
-    graph = _threshold_graph(data.reshape(-1, count), gap, edges.first, edges.second, edges.weight)
+    graph = _threshold_graph(data.reshape(-1, count), edges.first, edges.second, edges.weight)
     return _sink_side(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
 
 
@@ -208,7 +189,6 @@ def improve(
     data: Float32,
     weights: Float32,
     *,
-    position: Float32 | None = None,
     everywhere: bool = False,
     progress: Progress = silent,
 ) -> Labels:
@@ -220,7 +200,7 @@ def improve(
     Parameters
     ----------
     start : (R, C) int32 ndarray
-    data, weights, position : ndarray
+    data, weights : ndarray
         As for `minimize_energy`.
     everywhere : bool, optional
         Offer some labels to all nodes instead of farther, which takes long on fine grids.
@@ -230,17 +210,16 @@ def improve(
     -------
     (R, C) int32 ndarray
     """
-    energy = data, weights, positions_of(data, position)
-    labels = _fuse_labels(start, data.argmin(axis=2).astype(np.int32), *energy)
+    labels = _fuse_labels(start, data.argmin(axis=2).astype(np.int32), data, weights)
     for beside in (minimum_filter, maximum_filter):
-        labels = _fuse_labels(labels, beside(labels, 3), *energy)
+        labels = _fuse_labels(labels, beside(labels, 3), data, weights)
     if everywhere:
-        labels = _expand_near(labels, _CLOSE, *energy, within(progress, 0, 0.3))
+        labels = _expand_near(labels, _CLOSE, data, weights, within(progress, 0, 0.3))
         for alpha in range(0, data.shape[2], _EVERYWHERE):
-            labels = expand(labels, alpha, *energy)
+            labels = expand(labels, alpha, data, weights)
     else:
-        labels = _expand_near(labels, _FAR, *energy, within(progress, 0, 0.6))
-    return _expand_near(labels, _CLOSE, *energy, within(progress, 0.6, 1))
+        labels = _expand_near(labels, _FAR, data, weights, within(progress, 0, 0.6))
+    return _expand_near(labels, _CLOSE, data, weights, within(progress, 0.6, 1))
 
 
 def _expand_near(
@@ -248,7 +227,6 @@ def _expand_near(
     sweep: _Sweep,
     data: Float32,
     weights: Float32,
-    position: Float32,
     progress: Progress,
 ) -> Labels:
     """Offer labels to the nodes near those that have about this label."""
@@ -256,7 +234,7 @@ def _expand_near(
     for alpha in range(0, count, sweep.step):
         progress(_STEP, alpha / count)
         place = _near(labels, alpha, sweep.reach, sweep.grow)
-        labels = _expand_at(labels, alpha, place, data, weights, position)
+        labels = _expand_at(labels, alpha, place, data, weights)
     return labels
 
 
@@ -284,12 +262,7 @@ def _near(labels: Labels, alpha: int, reach: int, grow: int) -> Places:
 
 
 def expand_until_settled(
-    data: Float32,
-    weights: Float32,
-    progress: Progress = silent,
-    start: Labels | None = None,
-    *,
-    position: Float32 | None = None,
+    data: Float32, weights: Float32, progress: Progress = silent, start: Labels | None = None
 ) -> Labels:
     """Find labels by expansion moves over all labels alone, until none lowers the energy.
 
@@ -298,44 +271,33 @@ def expand_until_settled(
     """
     count = data.shape[2]
     labels = data.argmin(axis=2).astype(np.int32) if start is None else start
-    before, after = np.inf, energy_of(labels, data, weights, position)
+    before, after = np.inf, energy_of(labels, data, weights)
     left = 1.0  # of the bar: nobody knows how many rounds there will be
     while after < before - _LEAST_GAIN * abs(after):
         for alpha in range(count):
             progress(_STEP, 1 - left * (1 - 0.5 * alpha / count))
-            labels = expand(labels, alpha, data, weights, position)
-        before, after = after, energy_of(labels, data, weights, position)
+            labels = expand(labels, alpha, data, weights)
+        before, after = after, energy_of(labels, data, weights)
         left /= 2
     return labels
 
 
-def expand(
-    labels: Labels, alpha: int, data: Float32, weights: Float32, position: Float32 | None = None
-) -> Labels:
+def expand(labels: Labels, alpha: int, data: Float32, weights: Float32) -> Labels:
     """Let the label alpha take the nodes that it should have: an expansion move."""
-    return _expand_at(labels, alpha, np.flatnonzero(labels != alpha), data, weights, position)
+    return _expand_at(labels, alpha, np.flatnonzero(labels != alpha), data, weights)
 
 
 def _expand_at(
-    labels: Labels,
-    alpha: int,
-    place: Places,
-    data: Float32,
-    weights: Float32,
-    position: Float32 | None,
+    labels: Labels, alpha: int, place: Places, data: Float32, weights: Float32
 ) -> Labels:
     proposal = labels.copy()
     proposal.ravel()[place] = alpha
-    change = _change(labels, proposal, place, data)
-    return fuse(labels, proposal, place, change, weights, positions_of(data, position))
+    return fuse(labels, proposal, place, _change(labels, proposal, place, data), weights)
 
 
-def _fuse_labels(
-    labels: Labels, proposal: Labels, data: Float32, weights: Float32, position: Float32 | None
-) -> Labels:
+def _fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float32) -> Labels:
     place = np.flatnonzero(labels != proposal)
-    change = _change(labels, proposal, place, data)
-    return fuse(labels, proposal, place, change, weights, positions_of(data, position))
+    return fuse(labels, proposal, place, _change(labels, proposal, place, data), weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -374,15 +336,9 @@ class Edges:
         return cls(first.astype(np.int32), (first + step[k]).astype(np.int32), weights[k, i, j])
 
 
-def energy_of(
-    labels: Labels, data: Float32, weights: Float32, position: Float32 | None = None
-) -> float:
-    """Evaluate (14) for labels (R, C), costs (R, C, L), weights (4, R, C) and positions (L,)."""
-    return float(_energy_of(labels, data, weights, positions_of(data, position)))
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def _energy_of(labels: Labels, data: Float32, weights: Float32, position: Float32) -> float:
+def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
+    """Evaluate (14) for labels (R, C), costs (R, C, L) and weights (4, R, C)."""
     rows, columns = labels.shape
     energy = 0.0
     for i in range(rows):
@@ -391,19 +347,17 @@ def _energy_of(labels: Labels, data: Float32, weights: Float32, position: Float3
             for k, (down, right) in enumerate(STEPS):
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns:
-                    away = abs(position[labels[i, j]] - position[labels[y, x]])
-                    energy += weights[k, i, j] * away
+                    energy += weights[k, i, j] * abs(labels[i, j] - labels[y, x])
     return energy
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _threshold_graph(
-    data: Float32, gap: Float32, first: Labels, second: Labels, weight: Float32
+    data: Float32, first: Labels, second: Labels, weight: Float32
 ) -> tuple[Float64, Labels, Labels, Float64, Float64]:
     """Return unary costs and arcs over the variables "the label of node i is above t".
 
-    D, (N, L), telescopes into one unary cost a variable, w |p(l) - p(m)| into one pair a threshold;
-    gap, (L - 1,), is how far apart the positions on both sides of each are.
+    D, (N, L), telescopes into one unary cost a variable, w |l - m| into one pair a threshold.
     """
     nodes, labels = data.shape
     steps = labels - 1
@@ -422,7 +376,7 @@ def _threshold_graph(
     for edge in range(len(first)):
         for t in range(steps):
             tail[count], head[count] = first[edge] * steps + t, second[edge] * steps + t
-            forth[count] = back[count] = weight[edge] * gap[t]
+            forth[count], back[count] = weight[edge], weight[edge]
             count += 1
     return cost, tail, head, forth, back
 
@@ -444,12 +398,7 @@ def _sink_side(cost: Float64, tail: Labels, head: Labels, forth: Float64, back: 
 
 
 def fuse(
-    labels: Labels,
-    proposal: Labels,
-    place: Places,
-    change: Float64,
-    weights: Float32,
-    position: Float32,
+    labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> Labels:
     """Take the proposed label at the best set of nodes: one minimum cut.
 
@@ -461,8 +410,6 @@ def fuse(
     change : (P,) float64 ndarray
         D of the proposed label minus D of the present one.
     weights : (4, R, C) float32 ndarray
-    position : (L,) float32 ndarray
-        As for `minimize_energy`.
 
     Returns
     -------
@@ -470,8 +417,7 @@ def fuse(
     """
     if not len(place):
         return labels
-    graph = _fusion_graph(labels, proposal, place, change, weights, position)
-    cost, tail, head, capacity = graph
+    cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
     forth, back = _flow(cost, tail, head, capacity)
     upper = _sink_side(cost, tail, head, forth, back)
     now, new = labels.ravel()[place], proposal.ravel()[place]
@@ -482,17 +428,12 @@ def fuse(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _fusion_graph(
-    labels: Labels,
-    proposal: Labels,
-    place: Places,
-    change: Float64,
-    weights: Float32,
-    position: Float32,
+    labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> tuple[Float64, Labels, Labels, Float32]:
     """Return unary costs and edges of the binary variables "the node has its larger label".
 
-    |p(l) - p(m)| is a sum over thresholds: those between a node's two labels join it to a neighbour
-    if they are between that one's two labels as well, and are unary costs if not.
+    |l - m| is a sum over thresholds: those between a node's two labels join it to a neighbour if
+    they are between that one's two labels as well, and are unary costs if not.
     """
     rows, columns = labels.shape
     node = np.full((rows, columns), -1, np.int32)
@@ -504,7 +445,7 @@ def _fusion_graph(
     edges = 0
     for here in range(len(place)):
         i, j = place[here] // columns, place[here] % columns
-        low, high = position[labels[i, j]], position[proposal[i, j]]
+        low, high = labels[i, j], proposal[i, j]
         if low < high:
             cost[here] += change[here]
         else:
@@ -514,8 +455,8 @@ def _fusion_graph(
             y, x = i + down, j + right
             if y < rows and 0 <= x < columns:
                 weight, there = weights[k, i, j], node[y, x]
-                least = position[min(labels[y, x], proposal[y, x])]
-                most = position[max(labels[y, x], proposal[y, x])]
+                least = min(labels[y, x], proposal[y, x])
+                most = max(labels[y, x], proposal[y, x])
                 cost[here] += weight * _outside(low, high, least, most)
                 if there >= 0:
                     cost[there] += weight * _outside(least, most, low, high)
@@ -526,14 +467,14 @@ def _fusion_graph(
                         edges += 1
             y, x = i - down, j - right
             if y >= 0 and 0 <= x < columns and node[y, x] < 0:
-                beside = position[labels[y, x]]
+                beside = labels[y, x]
                 cost[here] += weights[k, y, x] * _outside(low, high, beside, beside)
     return cost, tail[:edges], head[:edges], capacity[:edges]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def _outside(low: float, high: float, least: float, most: float) -> float:
-    """Return how much of low to high is above most, less what of it is below least."""
+def _outside(low: int, high: int, least: int, most: int) -> int:
+    """Count the thresholds from low to high that are above most, less those below least."""
     return max(high, most) - max(low, most) - min(high, least) + min(low, least)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.image import given_array
-from napari_defocus.labeling.confidence import between_windows
+from napari_defocus.labeling.confidence import at_pixels
 from napari_defocus.labeling.focus_threshold import likeliest_scales
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.settings import CONFIDENT, UNKNOWN, MaskSettings
@@ -38,7 +38,7 @@ def with_unknown_left(
 def known_places_of(problem: LabelingProblem) -> NDArray[np.bool_]:
     """Return where the likeliest radius has a confidence of 0.5 or more: (H, W)."""
     _, confidence = likeliest_scales(problem.own)
-    known: NDArray[np.bool_] = between_windows(confidence, problem.own) >= CONFIDENT
+    known: NDArray[np.bool_] = at_pixels(confidence, problem.own) >= CONFIDENT
     opaque = problem.picture.opaque
     return known if opaque is None else known & opaque
 

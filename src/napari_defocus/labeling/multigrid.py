@@ -20,19 +20,12 @@ inside of the joined node would count as well. Chosen by the energy on ramps and
 """
 
 
-def positions_of(data: Float32, position: Float32 | None) -> Float32:
-    """Return where the labels of costs (R, C, L) are on the axis of differences: (L,) float32."""
-    return np.arange(data.shape[2], dtype=np.float32) if position is None else position
-
-
-def coarser(
-    data: Float32, weights: Float32, position: Float32 | None = None, *, agreed: bool = False
-) -> tuple[Float32, Float32]:
+def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[Float32, Float32]:
     """Join nodes two by two: costs add up, and so do the weights across the seams.
 
     Parameters
     ----------
-    data, weights, position : ndarray
+    data, weights : ndarray
         As for `minimize_energy`.
     agreed : bool, optional
         Joined nodes pay for the label that they have in common; else each may leave it at the
@@ -45,11 +38,10 @@ def coarser(
     """
     rows, columns = (-(-length // 2) for length in data.shape[:2])
     joined = np.zeros((rows, columns, data.shape[2]), np.float32)
-    gap = np.diff(positions_of(data, position))
     price = np.full(data.shape[:2], np.inf if agreed else 0, np.float32)
     if not agreed:
         price[:] = _RELAXATION * weights.sum(axis=0)
-    in_bands(_join_costs, rows, data, price, gap, joined)
+    in_bands(_join_costs, rows, data, price, joined)
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)
 
@@ -60,13 +52,11 @@ def finer(labels: Labels, rows: int, columns: int) -> Labels:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _join_costs(
-    start: int, stop: int, data: Float32, price: Float32, gap: Float32, joined: Float32
-) -> None:
+def _join_costs(start: int, stop: int, data: Float32, price: Float32, joined: Float32) -> None:
     """Add up the costs of two by two nodes, each of which may leave the common label at a price.
 
-    Their costs become min_m D(m) + w |p(l) - p(m)|: joined nodes need not agree on one label, as
-    they cannot where the blur is steep. An infinite price makes them agree.
+    Their costs become min_m D(m) + w |l - m|: joined nodes need not agree on one label, as they
+    cannot where the blur is steep. An infinite price makes them agree.
     """
     rows, columns, count = data.shape
     cost = np.empty(count, np.float32)
@@ -74,9 +64,9 @@ def _join_costs(
         for j in range(columns):
             cost[:] = data[i, j]
             for label in range(1, count):
-                cost[label] = min(cost[label], cost[label - 1] + price[i, j] * gap[label - 1])
+                cost[label] = min(cost[label], cost[label - 1] + price[i, j])
             for label in range(count - 2, -1, -1):
-                cost[label] = min(cost[label], cost[label + 1] + price[i, j] * gap[label])
+                cost[label] = min(cost[label], cost[label + 1] + price[i, j])
             for label in range(count):
                 joined[i // 2, j // 2, label] += cost[label]
 

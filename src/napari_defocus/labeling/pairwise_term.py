@@ -1,7 +1,6 @@
 """The pairwise term of (14): the prior of a Markov random field, with colour-dependent weights.
 
-Neighbours p, q in an 8-neighbourhood pay w_pq |l_p - l_q| for their labels (15), 0.1 px apart and
-beyond 8 px counted by the octave, where
+Neighbours p, q in an 8-neighbourhood pay w_pq |l_p - l_q| for their labels (15), where
 
     w_pq = lambda_0 exp(-|c_p - c_q|^2 / (2 sigma_lambda^2))                                  (16)
 
@@ -21,26 +20,11 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.multigrid import STEPS, join_blocks
-from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 Value = TypeVar("Value", bound=np.generic)
-
-
-_LINEAR_END = 8.0
-"""px: up to there, labels pay for their distance in px; beyond it, in octaves."""
-
-_OCTAVE = 40.0
-"""Steps of 0.1 px: an octave beyond 8 px costs as much (docs/decisions.md)."""
-
-
-def label_positions(scales: Float64) -> Float32:
-    """Return where labels of scales in px, (L,), are on the axis on which (15) counts: (L,)."""
-    octaves = np.log2(np.maximum(scales, _LINEAR_END) / _LINEAR_END)
-    linear = np.minimum(scales, _LINEAR_END) / LABEL_STEP
-    return (linear + _OCTAVE * octaves).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from scipy.ndimage import (
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.graph_cuts import Places, fuse
-from napari_defocus.labeling.multigrid import STEPS, coarser, finer, positions_of
+from napari_defocus.labeling.multigrid import STEPS, coarser, finer
 from napari_defocus.labeling.pairwise_term import Blocks, color_weight, pixel_weights
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 
@@ -36,7 +36,7 @@ _BESIDE = 17
 """px, side of the square around a pixel in which a border of squares may be moved to pixels."""
 
 _HELD = np.float32(1e6)
-"""Cost of another label where pixels are not free; data terms are below 1e3."""
+"""Cost of another label where pixels are not free; data terms are below 1e4."""
 
 
 def label_pixels(
@@ -49,7 +49,6 @@ def label_pixels(
     color_sigma: float,
     jump: int,
     reach: int,
-    position: Float32 | None = None,
     weight: Float32 | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
@@ -70,8 +69,6 @@ def label_pixels(
         The smallest difference of labels that counts as a discontinuity.
     reach : int
         How far, in px, a boundary may move at once.
-    position : (L,) float32 ndarray, optional
-        As for `minimize_energy`.
     weight : (H, W) float32 ndarray, optional
         How much D counts at each pixel; 1 by default.
     change_at : callable, optional
@@ -91,7 +88,6 @@ def label_pixels(
     near = binary_dilation(beside_jump, iterations=-(-reach // blocks.side))
     free = blocks.spread(near).astype(bool)
     weights = pixel_weights(color, free, color_sigma, smoothness)
-    position = positions_of(cost, position)
     left = reach
     while left > 0:
         for offer in (grey_erosion, grey_dilation):
@@ -106,7 +102,7 @@ def label_pixels(
             if change_at is not None:
                 own = change_at(pixels, proposal, place)
                 change = np.where(np.isnan(own), change, own)
-            pixels = fuse(pixels, proposal, place, change, weights, position)
+            pixels = fuse(pixels, proposal, place, change, weights)
         left //= 2
     return pixels
 
@@ -198,8 +194,7 @@ def _flipped(labels: Labels, rise: Float32, weights: Float32, free: NDArray[np.b
     place = np.flatnonzero(free)
     now = labels.ravel()[place]
     change = np.where(now == 0, 1, -1) * rise.ravel()[place].astype(np.float64)
-    position = np.arange(2, dtype=np.float32)
-    return fuse(labels, _changed(labels, place, 1 - now), place, change, weights, position)
+    return fuse(labels, _changed(labels, place, 1 - now), place, change, weights)
 
 
 def _changed(values: Labels, place: Places, new: Labels) -> Labels:
@@ -236,7 +231,6 @@ def energy_of_pixels(
     *,
     smoothness: float,
     color_sigma: float,
-    position: Float32 | None = None,
     weight: Float32 | None = None,
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
@@ -244,9 +238,8 @@ def energy_of_pixels(
         weight = np.ones(pixels.shape, np.float32)
     sharpness = np.float32(0.5 / color_sigma**2)
     evidence, jumps = np.zeros((2, len(pixels)))
-    at = positions_of(cost, position)
     places = blocks.positions
-    given = pixels, cost, at, color, weight
+    given = pixels, cost, color, weight
     in_bands(_energy_of_rows, len(pixels), *given, *places, sharpness, evidence, jumps)
     return float(evidence.sum() + smoothness * jumps.sum())
 
@@ -257,7 +250,6 @@ def _energy_of_rows(
     stop: int,
     pixels: Labels,
     cost: Float32,
-    position: Float32,
     color: Float32,
     counts: Float32,
     row_position: Float64,
@@ -277,7 +269,7 @@ def _energy_of_rows(
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns and pixels[y, x] != label:
                     weight = color_weight(color, i, j, y, x, sharpness)
-                    jumps[i] += weight * abs(position[pixels[y, x]] - position[label])
+                    jumps[i] += weight * abs(pixels[y, x] - label)
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.labeling.data_term import SURE, data_term
-from napari_defocus.labeling.pairwise_term import Blocks, label_positions
+from napari_defocus.labeling.data_term import EXTRA_OF_SHARP, data_term
+from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
 from napari_defocus.likelihood.own_side import on_own_side
 
@@ -83,11 +83,6 @@ class LabelingProblem:
         return color_sigma * intensities.contrast / intensities.unit
 
     @cached_property
-    def position(self) -> Float32:
-        """Where each label is on the axis on which the pairwise term counts: (L,)."""
-        return label_positions(self.own.scales)
-
-    @cached_property
     def _data_term(self) -> Float32:
         return data_term(self.own)
 
@@ -95,7 +90,7 @@ class LabelingProblem:
     def pixel_weight(self) -> Float32 | None:
         """How much the data term counts at each pixel, (H, W); None if once at all."""
         sharp = self.candidates.sharp
-        return None if sharp is None else 1 + SURE * sharp.astype(np.float32)
+        return None if sharp is None else 1 + EXTRA_OF_SHARP * sharp.astype(np.float32)
 
     @cached_property
     def block_weight(self) -> Float32:
@@ -103,7 +98,7 @@ class LabelingProblem:
         sharp, area = self.candidates.sharp, self.blocks.area
         if sharp is None:
             return area
-        return area + SURE * self.blocks.count(sharp).astype(np.float32)
+        return area + EXTRA_OF_SHARP * self.blocks.count(sharp).astype(np.float32)
 
     def cost(self, curve_weight: np.float32) -> Float32:
         """Return `data_term`, in the mode "curve" times a weight: (R, C, L)."""
@@ -151,11 +146,8 @@ class CoarseLabels:
     own: tuple[slice, slice]
     inner_sides: tuple[bool, bool, bool, bool]
 
-    def hold(self, data: Float32, price: float, position: Float32 | None = None) -> None:
-        """Add a price for each label that the rim of the part differs, to costs (R, C, L).
-
-        Of labels at any positions (L,), for as far as they are apart.
-        """
+    def hold(self, data: Float32, price: float) -> None:
+        """Add a price for each label that the rim of the part differs, to costs (R, C, L)."""
         rows, columns, count = data.shape
         factor = 1
         while -(-rows // factor) > self.labels.shape[0]:
@@ -167,8 +159,7 @@ class CoarseLabels:
         held[-1] |= bottom
         held[:, 0] |= left
         held[:, -1] |= right
-        at = np.arange(count) if position is None else position
-        away = np.abs(at - at[fine[held]][:, None])
+        away = np.abs(np.arange(count) - fine[held][:, None])
         data[held] += (price * away).astype(np.float32)
 
 

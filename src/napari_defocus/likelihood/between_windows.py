@@ -28,13 +28,18 @@ def _interpolate(
 ) -> None:
     height, width, count = values.shape
     for i in range(start, stop):
-        top = min(int(rows[i]), max(height - 2, 0))
-        bottom, down = min(top + 1, height - 1), np.float32(rows[i] - top)
+        top, bottom, down = neighbors(rows[i], height)
         for j in range(len(columns)):
-            left = min(int(columns[j]), max(width - 2, 0))
-            right, along = min(left + 1, width - 1), np.float32(columns[j] - left)
+            left, right, along = neighbors(columns[j], width)
             for k in range(count):
                 found[i, j, k] = of_four(values, top, bottom, left, right, down, along, k)
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def neighbors(place: float, length: int) -> tuple[int, int, np.float32]:
+    """Return the windows on both sides of a place on an axis, and how far it is from the first."""
+    first = min(int(place), max(length - 2, 0))
+    return first, min(first + 1, length - 1), np.float32(place - first)
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from napari_defocus.core.threads import in_bands
-from napari_defocus.likelihood.between_windows import of_four
+from napari_defocus.likelihood.between_windows import neighbors, of_four
 from napari_defocus.likelihood.evidence import DEPTH
 from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.likelihood.sharp_details import SharpDetails, share_of_blocks
@@ -117,10 +117,8 @@ def _add_between(
     """Add a share of what windows say at places between them, counted in windows."""
     height, width, count = curve.shape
     for place in range(start, stop):
-        top = min(int(rows[place]), max(height - 2, 0))
-        left = min(int(columns[place]), max(width - 2, 0))
-        bottom, right = min(top + 1, height - 1), min(left + 1, width - 1)
-        down, along = np.float32(rows[place] - top), np.float32(columns[place] - left)
+        top, bottom, down = neighbors(rows[place], height)
+        left, right, along = neighbors(columns[place], width)
         for k in range(count):
             said = of_four(curve, top, bottom, left, right, down, along, k)
             found[place, k] += gain[place] * said

@@ -35,7 +35,7 @@ from scipy.ndimage import gaussian_filter
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
-from napari_defocus.likelihood.between_windows import between, of_four
+from napari_defocus.likelihood.between_windows import between, neighbors, of_four
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.evidence import evidence_share, limited_below_top
@@ -360,11 +360,9 @@ def _add_level(
     """Multiply curves by a share of their own, and add a share of a coarser level's, between."""
     height, width, count = curve.shape
     for i in range(start, stop):
-        top = min(int(rows[i]), max(height - 2, 0))
-        bottom, down = min(top + 1, height - 1), np.float32(rows[i] - top)
+        top, bottom, down = neighbors(rows[i], height)
         for j in range(len(columns)):
-            left = min(int(columns[j]), max(width - 2, 0))
-            right, along = min(left + 1, width - 1), np.float32(columns[j] - left)
+            left, right, along = neighbors(columns[j], width)
             kept, gained = keep[i, j], gain[i, j]
             if gained == 0 and kept == 1:
                 continue

@@ -28,7 +28,7 @@ from napari_defocus.core.threads import thread_count
 from napari_defocus.forward.blur_operator import checked_scales
 from napari_defocus.likelihood.noise import PROCESSING_VARIANCE, noise_variance_of
 from napari_defocus.psf.families import PSFFamily, as_family
-from napari_defocus.restoration.damage import share_left
+from napari_defocus.restoration.damage import unrestored_share
 from napari_defocus.restoration.deconvolution import Deconvolution
 from napari_defocus.settings import MapSettings, RestorationSettings
 
@@ -59,7 +59,7 @@ class RestorationFit:
         picture fits. If it is above 0, less blur was taken away, with more smoothing. Noise
         with a variance of 2e-5 or more, for a contrast of 1, would hide a misfit: then it is
         assumed.
-    left : float
+    unrestored : float
         Share of the picture that was left as it was, as rings beyond black and white say that
         the radii there are wrong.
     """
@@ -67,7 +67,7 @@ class RestorationFit:
     noise_variance: float
     tv_weight: float
     misfit: float
-    left: float = 0.0
+    unrestored: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -153,11 +153,15 @@ class Restoration:
                 hides_misfit=noise_variance >= PROCESSING_VARIANCE * picture.intensities.unit**2,
             )
             sharp = problem.solve(scales, progress)
-        left = share_left(sharp, scales, picture.intensities.unit)
-        sharp += left[..., None] * (picture.color - sharp)
+        unrestored = unrestored_share(sharp, scales, picture.intensities.unit)
+        sharp += unrestored[..., None] * (picture.color - sharp)
         sharp = np.clip(sharp, 0, 1)
-        left_share = float(left.mean())
-        fit = RestorationFit(float(noise_variance), problem.tv_weight, problem.misfit, left_share)
+        fit = RestorationFit(
+            noise_variance=float(noise_variance),
+            tv_weight=problem.tv_weight,
+            misfit=problem.misfit,
+            unrestored=float(unrestored.mean()),
+        )
         return encode_srgb(sharp) if self.linearize == "srgb" else sharp, fit
 
 

@@ -30,7 +30,7 @@ _SOFT = 4.0
 """px: standard deviation of the Gaussian by which one goes over into the other."""
 
 
-def share_left(sharp: Float32, scales: Float32, contrast: float) -> Float32:
+def unrestored_share(sharp: Float32, scales: Float32, contrast: float) -> Float32:
     """Return how far each place is left as it was: (H, W) from 0 to 1.
 
     Parameters

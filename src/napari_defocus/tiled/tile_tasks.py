@@ -32,7 +32,7 @@ from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.tiled.tiles import Tile
 
 Float32 = NDArray[np.float32]
-Problem = tuple[Float32, Float32, Float32]
+Problem = tuple[Float32, Float32]
 Found = dict[str, NDArray[Any]]
 
 
@@ -164,8 +164,7 @@ class Wanted:
         if self.map is not None:
             found["blur_map"] = coarse_problem(problem, levels, self.map)
         if self.mask is not None:
-            data, weights = coarse_mask_problem(problem, levels, self.mask, seeds)
-            found["mask"] = data, weights, np.arange(2, dtype=np.float32)
+            found["mask"] = coarse_mask_problem(problem, levels, self.mask, seeds)
         return found
 
     def measure(
@@ -235,8 +234,8 @@ def coarse_pass(
     problem = _problem_of_tile(pixels, tile, noise, how)
     own, wanted = tile.core_cells(levels), wanted.settled(threshold)
     return {
-        name: (data[own].copy(), weights[:, *own].copy(), position)
-        for name, (data, weights, position) in wanted.problems(problem, levels, seeds).items()
+        name: (data[own].copy(), weights[:, *own].copy())
+        for name, (data, weights) in wanted.problems(problem, levels, seeds).items()
     }
 
 
@@ -262,7 +261,6 @@ def join_cells(costs: list[dict[str, Problem]], axis: int) -> dict[str, Problem]
         name: (
             np.concatenate([one[name][0] for one in costs], axis=axis),
             np.concatenate([one[name][1] for one in costs], axis=axis + 1),
-            costs[0][name][2],
         )
         for name in costs[0]
     }
@@ -271,13 +269,13 @@ def join_cells(costs: list[dict[str, Problem]], axis: int) -> dict[str, Problem]
 def label_cells(rows: list[dict[str, Problem]]) -> dict[str, NDArray[np.int32]]:
     """Label the cells of a whole plane, for the map and for the mask."""
     return {
-        name: (solve_exactly if name == "mask" else _minimized)(data, weights, position=position)
-        for name, (data, weights, position) in join_cells(rows, 0).items()
+        name: (solve_exactly if name == "mask" else _minimized)(data, weights)
+        for name, (data, weights) in join_cells(rows, 0).items()
     }
 
 
-def _minimized(data: Float32, weights: Float32, position: Float32) -> NDArray[np.int32]:
-    return minimize_energy(data, weights, position=position, finest=False)
+def _minimized(data: Float32, weights: Float32) -> NDArray[np.int32]:
+    return minimize_energy(data, weights, finest=False)
 
 
 def measure_tile(

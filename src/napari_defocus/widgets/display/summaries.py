@@ -4,9 +4,9 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
-from napari_defocus.settings import CONFIDENT
+from napari_defocus.core.picture_remarks import picture_remarks
+from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.jobs.estimation import Picture
-from napari_defocus.widgets.layers.picture_signs import signs_of_picture
 from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     REGION,
@@ -20,7 +20,7 @@ def summary_of(
 ) -> str:
     """Return a few lines: what makes the map say little, of which part it is, how sure it is."""
     made = results[-1][1]["metadata"][METADATA_KEY]
-    lines = signs_of_picture(picture.image)
+    lines = picture_remarks(picture.image, MapSettings.window)
     # What is seen in the picture explains the doubt, too.
     said = ("lens",) if lines else ("doubt", "lens")
     lines += [made[name] for name in said if name in made]

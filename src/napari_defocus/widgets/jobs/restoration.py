@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 Float32 = NDArray[np.float32]
 
-_LEAST_LEFT = 0.005
-_LEFT = "{percent:.0f}% of the picture was left as it was: restored, it would have rings."
+_LEAST_UNRESTORED = 0.005
+_UNRESTORED = "{percent:.0f}% of the picture was left as it was: restored, it would have rings."
 _MISFIT = (
     "The picture may not fit its map: the lens, or the map, is another, or noise hides it. "
     "Less blur is taken away, with more care."
@@ -112,8 +112,8 @@ class Restoration:
         lines = [noise_description(self.settings.noise_variance, [made.fit.noise_variance])]
         if made.fit.misfit > 0:
             lines.append(_MISFIT)
-        if made.fit.left >= _LEAST_LEFT:
-            lines.append(_LEFT.format(percent=100 * made.fit.left))
+        if made.fit.unrestored >= _LEAST_UNRESTORED:
+            lines.append(_UNRESTORED.format(percent=100 * made.fit.unrestored))
         confidence = made.blur_map.confidence
         if confidence is not None:
             lines.append(confidence_description((confidence >= CONFIDENT).mean()))
@@ -201,7 +201,7 @@ def _picture_layer(
     facts = {
         "noise_variance": made.fit.noise_variance,
         "misfit": made.fit.misfit,
-        "left": made.fit.left,
+        "unrestored": made.fit.unrestored,
         "intensities": made.picture.intensities.facts(),
         "blur_map": made.blur_map.name,
     }

@@ -1,0 +1,66 @@
+"""Coarser pictures, whose pixels are means of 2 x 2, with or without what is hidden in them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from napari_defocus.core.image import PreparedImage
+
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_FADE = 2.0
+"""px: standard deviation of the Gaussian by which what is left out fades in; a hard border would
+itself look sharp."""
+
+_REACH = 2.0
+"""Standard deviations at which that Gaussian ends: tiles see no farther."""
+
+
+def mean_of_four(values: Float32) -> Float32:
+    """Return means of 2 x 2 px; an odd last row or column is left out."""
+    height, width = (length // 2 * 2 for length in values.shape[:2])
+    top, bottom = values[0:height:2], values[1:height:2]
+    pairs = (top[:, 0:width:2] + top[:, 1:width:2]) + (bottom[:, 0:width:2] + bottom[:, 1:width:2])
+    return np.ascontiguousarray(np.float32(0.25) * pairs)
+
+
+def halved(picture: PreparedImage) -> PreparedImage:
+    """Return a picture whose pixels are means of 2 x 2; an odd last row or column is left out."""
+    opaque = None
+    if picture.opaque is not None:
+        opaque = mean_of_four(picture.opaque.astype(np.float32)) > np.float32(0.5)
+    return PreparedImage(
+        mean_of_four(picture.color), mean_of_four(picture.luminance), opaque, picture.intensities
+    )
+
+
+def halved_without(picture: PreparedImage, hidden: Mask) -> tuple[PreparedImage, Mask]:
+    """Return a picture of means of 2 x 2 px in which what is hidden does not count, and where.
+
+    Parameters
+    ----------
+    picture : PreparedImage
+    hidden : (H, W) bool ndarray
+
+    Returns
+    -------
+    picture : PreparedImage
+        With the weight of its details.
+    hidden : (H // 2, W // 2) bool ndarray
+        Where half of the pixels or more were.
+    """
+    coarse = halved(picture)
+    shown = (~hidden).astype(np.float32)
+    share = mean_of_four(shown)
+    light = mean_of_four(picture.luminance * shown) / np.maximum(share, np.float32(0.25))
+    luminance = np.where(share > 0, light, coarse.luminance)
+    hidden = share < np.float32(0.5)
+    near = gaussian_filter(hidden.astype(np.float32), _FADE, truncate=_REACH)
+    weight = np.clip(1 - 2 * near, 0, 1)
+    weight[hidden] = 0
+    return replace(coarse, luminance=luminance, weight=weight), hidden
