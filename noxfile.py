@@ -65,7 +65,7 @@ def types(session):
 @nox.session(tags=["package"], requires=["build"])
 def tests(session):
     """Run the tests where only the wheel is installed."""
-    session.install(f"{wheel()}[napari,large,heic,raw]", "--group", "test")
+    session.install(f"{wheel()}[napari,large,heic,raw,matting]", "--group", "test")
     run_tests(session)
 
 
@@ -82,7 +82,7 @@ def matrix(session, resolution):
     """Run the tests on each Python, with the lowest and the newest versions of everything."""
     # pyproject.toml beside the wheel, so that what the package asks for counts as direct.
     asked = ["--requirements", "pyproject.toml"]
-    for extra in ("napari", "large", "heic", "raw"):
+    for extra in ("napari", "large", "heic", "raw", "matting"):
         asked += ["--extra", extra]
     session.install(wheel(), *asked, "--group", "test", "--resolution", resolution)
     if resolution == "lowest-direct":

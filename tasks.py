@@ -33,7 +33,7 @@ LINES_APART = 10.0
 
 PACKAGES_OF = {
     "demo": ["-e", "."],
-    "development": ["-e", ".[napari,large,heic,raw]", "--group", "test", "--group", "lint"],
+    "development": ["-e", ".[napari,large,heic,raw,matting]", "--group", "test", "--group", "lint"],
     "docs": ["-e", ".[large]", "--group", "docs"],
     "release": ["--group", "release"],
 }

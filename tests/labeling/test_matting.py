@@ -91,7 +91,6 @@ def test_wrong_masks_are_refused(disc, solver, mask, width, error, saying):
 
 
 def test_hair_thinner_than_a_pixel_has_its_share():
-    pytest.importorskip("pymatting")
     rows, columns = np.indices((120, 160))
     opacity = np.clip(60 - rows, 0, 1) + 0.4 * ((rows >= 60) & (rows < 68) & (columns % 8 == 0))
     rng = np.random.default_rng(0)
