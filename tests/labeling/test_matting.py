@@ -82,6 +82,7 @@ def test_missing_package_is_said_with_what_to_install(disc, monkeypatch):
     [
         (np.zeros((9, 9), np.uint8), None, ValueError, r"mask has shape \(9, 9\)"),
         (np.zeros((300, 520)), None, TypeError, "mask has dtype float64"),
+        (np.full((300, 520), 255), None, ValueError, "mask holds 255 to 255; it takes 0 blurred"),
         (np.zeros((300, 520), bool), 0, ValueError, "width is 0; it takes a whole number"),
     ],
 )

@@ -26,7 +26,7 @@ from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.labeling.seeds import checked_seeds
 from napari_defocus.labeling.segmentation import labeled_mask
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.settings import MaskSettings
+from napari_defocus.settings import UNKNOWN, MaskSettings
 
 if TYPE_CHECKING:
     from napari_defocus.tiled.candidates import LazyCandidates
@@ -127,7 +127,7 @@ def segment_in_focus(
         outside has no say in the threshold. In the mask it is 0, or 2 if `unknown` is "leave".
     alpha : bool, optional
         Return the opacity of what is in focus instead, see `matte_in_focus`. It takes one picture
-        in memory.
+        in memory, and what is not known is filled first.
     intensity_range : (float, float), optional
         The intensities that count as 0 and 1; those of `candidates` if left out.
     progress : callable, optional
@@ -228,7 +228,8 @@ def matte_in_focus(
         If PyMatting is not installed: ``pip install 'napari-defocus[matting]'``. When it is first
         imported, it compiles itself, which takes a minute.
     TypeError, ValueError
-        If `image` is no picture, or `mask` or `width` is not as above.
+        If `image` is not a picture, or `mask` or `width` is not as above: a mask from a file may
+        have 255 where it is in focus.
 
     References
     ----------
@@ -241,7 +242,6 @@ def matte_in_focus(
     >>> mask = segment_in_focus(estimate_candidates(picture), picture)  # doctest: +SKIP
     >>> opacity = matte_in_focus(picture, mask)  # doctest: +SKIP
     """
-    need_matting_extra()
     picture = prepare_image(image, intensity_range)
     marks = given_array("mask", mask)
     if marks.dtype.kind not in "bui":
@@ -251,8 +251,14 @@ def matte_in_focus(
             f"mask has shape {marks.shape}; it takes the picture's height and width, "
             f"{picture.shape}"
         )
+    if marks.min() < 0 or marks.max() > UNKNOWN:
+        raise ValueError(
+            f"mask holds {marks.min()} to {marks.max()}; it takes 0 blurred, 1 in focus, "
+            "2 not known"
+        )
     if width is not None:
         check_whole("width", width)
+    need_matting_extra()
     return opacity(picture.color, marks.astype(np.uint8), width, progress)
 
 
@@ -321,7 +327,8 @@ def focus_threshold(
     if is_lazy_candidates(candidates):
         return candidates.threshold_now(image, within, progress)
     where = None if within is None else checked_within(within, candidates.image_shape)
-    return focus_threshold_of(LabelingProblem.of(candidates, image, intensity_range), where)
+    problem = LabelingProblem.of(candidates, image, intensity_range)
+    return focus_threshold_of(problem, where, progress)
 
 
 def known_places(
@@ -342,11 +349,12 @@ def known_places(
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its details.
     intensity_range : (float, float), optional
-        See `segment_in_focus`, which leaves the rest if `unknown` is "leave".
+        The intensities that count as 0 and 1; those of `candidates` if left out.
 
     Returns
     -------
     (H, W) bool ndarray
+        `segment_in_focus` leaves the others as 2 if `unknown` is "leave".
 
     Raises
     ------
