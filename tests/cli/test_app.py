@@ -521,7 +521,7 @@ def test_picture_that_does_not_look_like_defocus_is_said_to(tmp_path, gravel, co
     [
         (np.full((10, 10), 90, np.uint8), ["The picture is small", "the same value"]),
         (np.arange(100, dtype=np.uint8).reshape(10, 10), ["The picture is small"]),
-        (np.full((60, 80, 3), 255, np.uint8), ["the same value"]),
+        (np.full((90, 120, 3), 255, np.uint8), ["the same value"]),
     ],
 )
 def test_picture_that_can_tell_little_is_not_measured_without_a_word(
