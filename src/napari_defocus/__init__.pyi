@@ -34,6 +34,9 @@ from .batch.batch import (
 from .batch.batch import (
     measure_batch as measure_batch,
 )
+from .batch.report import (
+    write_report as write_report,
+)
 from .core.progress import (
     Cancelled as Cancelled,
 )
@@ -153,6 +156,9 @@ from .restoration.all_in_focus import (
 )
 from .restoration.refocusing import (
     change_focus as change_focus,
+)
+from .settings import (
+    FieldLimits as FieldLimits,
 )
 from .stacks.alignment import (
     StackAlignment as StackAlignment,

@@ -119,8 +119,11 @@ class TiledPlane:
             risk=None if restoration is None else restoration.risk,
             mask=plan.settings.mask if "mask" in plan.kinds else None,
         )
-        threshold = self._threshold(lazy)
-        found = lazy.measure(asked, threshold=threshold)
+        within = self._within()
+        threshold = self._threshold(lazy, within)
+        found = lazy.measure(asked, within=within, threshold=threshold)
+        if within is not None:
+            found["within"] = within
         if restoration is not None:
             noise = restoration.noise_variance
             how = plan.restoration(lazy.psf, settings.noise_variance if noise is None else noise)
@@ -133,13 +136,18 @@ class TiledPlane:
             )
         return found, lazy.noise(()), threshold
 
-    def _threshold(self, lazy: Any) -> Any:
+    def _within(self) -> Any:
+        """Return the mask of what counts, a dask array, if there is one."""
+        task = self.task
+        return task.within and task.within.lazy_plane(task.plane.shape, task.index)
+
+    def _threshold(self, lazy: Any, within: Any) -> Any:
         """Return the threshold of masks: as given, that of the stack, or of the plane, delayed."""
         threshold = self.task.plan.settings.mask.threshold
         if threshold != AUTO:
             return threshold
         task = self.task
-        return lazy.threshold() if task.threshold_from is None else task.threshold_of_stack()
+        return lazy.threshold(within) if task.threshold_from is None else task.threshold_of_stack()
 
 
 def _px(region: Region) -> int:
@@ -158,7 +166,8 @@ def _write(
 ) -> TileNote:
     """Write what was found of a tile, note that it is finished, and return the note."""
     plan, confidence = tile.plan, found["confidence"]
-    counts = plan.counts(found["blur_map"], confidence, found.get("mask"), threshold)
+    of_counts = (found.get("mask"), threshold, found.get("within"))
+    counts = plan.counts(found["blur_map"], confidence, *of_counts)
     untrusted = confidence < plan.min_confidence
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in tile.targets:

@@ -111,9 +111,33 @@ def doubt_of(strength: Float32 | None, direction: Float32 | None) -> str | None:
         return None
     if np.quantile(strength, _MOST) < _WEAK:
         return NOTHING_SEEN
-    strong = direction[strength >= _STRONG].astype(np.float64)
-    if not len(strong):
+    mean = _mean_direction(strength, direction)
+    if mean is None:
         return None
-    mean = strong.mean(axis=0)
+    strong = direction[strength >= _STRONG].astype(np.float64)
     along = strong @ mean / max(float(np.hypot(*mean)), 1e-9)
     return ONE_DIRECTION if np.quantile(along, _EXCEPTIONS) > _ONE_WAY else None
+
+
+def one_direction(strength: Float32 | None, direction: Float32 | None) -> float | None:
+    """Return how far the details of a picture prefer one direction: |mean of d| above.
+
+    It is 0.1 to 1.2 on photographs, 2.3 on a dune, and 1.2 to 4.9 after motion. None where no
+    window is strong.
+
+    Parameters
+    ----------
+    strength : (R, C) float32 ndarray or None
+    direction : (R, C, 2) float32 ndarray or None
+        See `BlurCandidates`; None tells nothing.
+    """
+    if strength is None or direction is None:
+        return None
+    mean = _mean_direction(strength, direction)
+    return None if mean is None else float(np.hypot(*mean))
+
+
+def _mean_direction(strength: Float32, direction: Float32) -> NDArray[np.float64] | None:
+    """Return the mean of d over strong windows, (2,)."""
+    strong = direction[strength >= _STRONG].astype(np.float64)
+    return strong.mean(axis=0) if len(strong) else None

@@ -1,0 +1,289 @@
+"""What the page of a report shows of fields, wells and settings: numbers and words, no HTML."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import PurePath
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from napari_defocus.batch.blur_histogram import bin_edges, on_scale
+from napari_defocus.batch.flags import PARTLY, WORST_FIRST, Flag, badness, flags_of
+from napari_defocus.batch.sources import LARGEST_AT_ONCE
+from napari_defocus.batch.table import DONE, Row
+from napari_defocus.batch.thumbnails import (
+    BLUR,
+    DETAIL,
+    OUTLINE,
+    palette,
+    small_size,
+)
+from napari_defocus.batch.wells import PlateLayout
+from napari_defocus.settings import FieldLimits
+
+TICKS = (0, 1, 2, 4, 8, 16, 32, 64)
+"""px that are written below histograms and at the colour bar."""
+
+_PLOT = (200, 40)
+"""Width and height of a histogram in its own units."""
+
+MISSING = "–"
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A row of the table as the page shows it; `number` is its place, worst first."""
+
+    number: int
+    row: Row
+    flags: tuple[Flag, ...]
+
+    @property
+    def title(self) -> str:
+        """The name of the picture, and the plane of a stack."""
+        name = PurePath(self.row["source"]).name
+        return " ".join(filter(None, (name, self.row.get("plane"))))
+
+    @property
+    def well(self) -> str | None:
+        """A01 to P24, if names say wells."""
+        return self.row.get("well")
+
+    @property
+    def radius(self) -> float | None:
+        """The median of the blur that is known, in px."""
+        return self.row.get("median_known_radius_px")
+
+    @property
+    def picture_link(self) -> str:
+        """The picture itself."""
+        return _link(self.row["link"])
+
+    @property
+    def map_link(self) -> str | None:
+        """The map, if it is a file."""
+        place = self.row.get("map")
+        return _link(place) if place else None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the thumbnail, in px."""
+        height, width = small_size(self.row["height"], self.row["width"])
+        return width, height
+
+    @property
+    def small(self) -> dict[str, str] | None:
+        """The small pictures."""
+        place = self.row.get("thumbnail")
+        if not place:
+            return None
+        begin = place.removesuffix(".jpg")
+        ends = {"picture": ".jpg", "outline": OUTLINE, "blur": BLUR, "detail": DETAIL}
+        return {name: _link(begin + end) for name, end in ends.items()}
+
+    @property
+    def notes(self) -> list[str]:
+        """What else the reader should know."""
+        row, told = self.row, [self.row["careful"]] if self.row.get("careful") else []
+        if row["status"] == DONE and row["width"] * row["height"] > LARGEST_AT_ONCE:
+            told.append("Saturation and motion are not looked for in so large a picture.")
+        return told
+
+    @property
+    def sort_keys(self) -> dict[str, float | str]:
+        """What the columns are sorted by; what is not known comes last."""
+        numbers = {
+            "blur": self.radius,
+            "focus": self.row.get("share_within_limit"),
+            "known": self.row.get("share_sure"),
+        }
+        return {name: -1.0 if value is None else value for name, value in numbers.items()}
+
+    @cached_property
+    def bars(self) -> str:
+        """The histogram of the blur that is known, as the path of an SVG."""
+        counts = self.row.get("blur_histogram") or []
+        return bars_of(counts) if sum(counts) else ""
+
+
+def _link(path: str) -> str:
+    return path if ":" in path.partition("/")[0] else quote(path)
+
+
+def fields_of(rows: Sequence[Row], limits: FieldLimits) -> list[Field]:
+    """Return the fields of judged rows, worst first; alike ones as the table has them."""
+    ranked = sorted(rows, key=badness)
+    return [Field(at + 1, row, flags_of(row, limits)) for at, row in enumerate(ranked)]
+
+
+def bars_of(counts: Sequence[int]) -> str:
+    """Return a histogram as the outline of its bars, the path of an SVG of `_PLOT` units.
+
+    Examples
+    --------
+    >>> bars_of([1, 0])
+    'M0 40V0H100V40H200V40Z'
+    """
+    width, height = _PLOT
+    step, most = width / len(counts), max(counts)
+    tops = [height - round(height * count / most) for count in counts]
+    ends = [round(step * (at + 1), 1) for at in range(len(counts))]
+    bars = "".join(f"V{top}H{end:g}" for top, end in zip(tops, ends, strict=True))
+    return f"M0 {height}{bars}V{height}Z"
+
+
+def place_on_plot(radius: float) -> float:
+    """Return where a radius in px is along a histogram, in its units."""
+    return round(_PLOT[0] * float(on_scale(radius)), 1)
+
+
+# The top of the page.
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How many fields have which flag, and how their medians are distributed."""
+
+    total: int
+    flagged: int
+    counts: dict[str, int]
+    by_limit: dict[str, str]
+    bars: str
+    median: float | None
+    ticks: list[tuple[int, float]]
+    limit_at: float
+    colors: list[str]
+
+
+def summary_of(fields: Sequence[Field], limits: FieldLimits) -> Summary:
+    """Return the numbers of all fields."""
+    counts = Counter(flag.name for field in fields for flag in field.flags)
+    radii = [field.radius for field in fields if field.radius is not None]
+    held, _ = np.histogram(radii, bin_edges())
+    return Summary(
+        total=len(fields),
+        flagged=sum(bool(field.flags) for field in fields),
+        counts={name: counts[name] for name in WORST_FIRST},
+        by_limit=_limits_told(limits),
+        bars=bars_of(held.tolist()) if radii else "",
+        median=float(np.median(radii)) if radii else None,
+        ticks=[(tick, place_on_plot(tick)) for tick in TICKS],
+        limit_at=place_on_plot(limits.in_focus_up_to),
+        colors=[_css(color) for color in palette()[1::6]],
+    )
+
+
+def _limits_told(limits: FieldLimits) -> dict[str, str]:
+    """Return when each of the flags is set, in words."""
+    percent = {
+        name: f"{100 * getattr(limits, name):g} %"
+        for name in ("min_share_in_focus", "min_share_known", "max_share_saturated")
+    }
+    radius = f"{limits.in_focus_up_to:g} px"
+    words = (
+        "the picture could not be read or measured",
+        "details lie in one direction, as after motion, by more than "
+        f"{limits.max_one_direction:g}: the radii say little",
+        f"the median of the known blur is above {radius}",
+        f"less than {percent['min_share_in_focus']} of what is known is blurred by at most "
+        f"{radius}",
+        f"more than {percent['max_share_saturated']} of the pixels are as bright as can be",
+        f"the blur is known on less than {percent['min_share_known']}, or there is only noise",
+    )
+    return dict(zip(WORST_FIRST, words, strict=True))
+
+
+def settings_told(made_with: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what the batch was made with, name by name."""
+    flat: list[tuple[str, str]] = []
+    for name, value in made_with.items():
+        if isinstance(value, Mapping):
+            flat += [(f"{name}: {key}", _told(held)) for key, held in value.items()]
+        else:
+            flat.append((name, _told(value)))
+    return [(name.replace("_", " "), value) for name, value in flat]
+
+
+def _told(value: Any) -> str:
+    return "not given" if value is None else str(value)
+
+
+# The plate.
+
+
+@dataclass(frozen=True)
+class Well:
+    """A well of a plate: its fields, worst first."""
+
+    name: str
+    fields: tuple[Field, ...]
+
+    @property
+    def flagged(self) -> int:
+        """How many of its fields have a flag."""
+        return sum(bool(field.flags) for field in self.fields)
+
+    @property
+    def radius(self) -> float | None:
+        """The median of the fields' blur, in px."""
+        radii = [field.radius for field in self.fields if field.radius is not None]
+        return float(np.median(radii)) if radii else None
+
+    @property
+    def mark(self) -> str:
+        """A letter for the worst flag of its fields; empty if there is none."""
+        flags = self.fields[0].flags
+        return {PARTLY: "½"}.get(flags[0].name, flags[0].name[0].upper()) if flags else ""
+
+    @property
+    def colors(self) -> tuple[str, str]:
+        """The colours of the cell and of its text."""
+        if self.radius is None:
+            return "#8a8a8a", "#000"
+        level = 1 + round(254 * float(on_scale(min(self.radius, TICKS[-1]))))
+        color = palette()[level]
+        bright = float(color @ (0.299, 0.587, 0.114)) > 120
+        return _css(color), "#000" if bright else "#fff"
+
+    @property
+    def told(self) -> str:
+        """What the cell says to those who do not see it."""
+        radius = "not known" if self.radius is None else f"{self.radius:.1f} px"
+        flags = sorted({flag.name for field in self.fields for flag in field.flags})
+        many = f"{len(self.fields)} field{'s' * (len(self.fields) > 1)}"
+        return f"{self.name}: {many}, blur {radius}, {', '.join(flags) or 'no flag'}"
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A plate: rows of wells, None where nothing was measured."""
+
+    layout: PlateLayout
+    rows: list[tuple[str, list[Well | None]]]
+    elsewhere: int
+
+
+def plate_of(fields: Sequence[Field]) -> Plate | None:
+    """Return the plate that names of fields say; None if they say none."""
+    held: dict[str, list[Field]] = {}
+    for field in fields:
+        if field.well is not None:
+            held.setdefault(field.well, []).append(field)
+    if not held:
+        return None
+    wells = {name: Well(name, tuple(those)) for name, those in held.items()}
+    layout = PlateLayout.of(wells)
+    rows = [
+        (row, [wells.get(f"{row}{column:02d}") for column in layout.columns])
+        for row in layout.rows
+    ]
+    return Plate(layout, rows, len(fields) - sum(map(len, held.values())))
+
+
+def _css(color: Sequence[int]) -> str:
+    return "#" + "".join(f"{int(channel):02x}" for channel in color[:3])
