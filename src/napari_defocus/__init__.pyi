@@ -29,10 +29,10 @@ from .api.restoration import (
     restore_all_in_focus as restore_all_in_focus,
 )
 from .batch.batch import (
-    BatchReport as BatchReport,
-)
-from .batch.batch import (
     measure_batch as measure_batch,
+)
+from .batch.outcome import (
+    BatchReport as BatchReport,
 )
 from .batch.report import (
     write_report as write_report,

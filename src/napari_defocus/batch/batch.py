@@ -19,6 +19,7 @@ from napari_defocus.batch.cluster import Job, in_this_process, outcomes
 from napari_defocus.batch.flags import judged_rows
 from napari_defocus.batch.folder import BatchFolder, path_from
 from napari_defocus.batch.masks_beside import masks_of
+from napari_defocus.batch.outcome import BatchReport
 from napari_defocus.batch.planes import (
     BatchPlan,
     PlaneTask,
@@ -40,7 +41,7 @@ from napari_defocus.batch.sources import (
     plane_size,
     unopened,
 )
-from napari_defocus.batch.table import FAILED, Row, in_csv, in_json_lines, rounded
+from napari_defocus.batch.table import Row, in_csv, in_json_lines, rounded
 from napari_defocus.batch.tiled_planes import TiledPlane, TileNote
 from napari_defocus.core.checks import (
     check_block_size,
@@ -58,41 +59,6 @@ from napari_defocus.settings import BLOCK_SIZE, FieldLimits
 
 if TYPE_CHECKING:
     from distributed import Client
-
-
-@dataclass(frozen=True)
-class BatchReport:
-    """The results of a batch.
-
-    Attributes
-    ----------
-    table : Path
-        A CSV file. A file with the same rows as JSON lines lies beside it.
-    planes, failed : int
-        How many rows the table has, and how many of these could not be measured.
-    left_out : dict of str to int
-        How many files of the folders and patterns were left out, by their endings, such as ".txt".
-        "result" counts results of this package, "folder" folders in a folder.
-    doubtful : int
-        How many rows say in their column "careful" why the picture tells little of its blur.
-    flagged : int
-        How many rows have a flag, such as "out of focus".
-    report : Path or None
-        The page that shows the table, `report.html`, if it was asked for.
-
-    Examples
-    --------
-    >>> BatchReport(Path("measured", "table.csv"), planes=12, failed=1).failed
-    1
-    """
-
-    table: Path
-    planes: int
-    failed: int
-    left_out: dict[str, int] = field(default_factory=dict, hash=False)
-    doubtful: int = 0
-    flagged: int = 0
-    report: Path | None = None
 
 
 def measure_batch(
@@ -363,22 +329,17 @@ class _Batch:
         """Write the table of all planes that were tried, and the report that shows it."""
         for name, work in self.works.items():
             self.rows[name] = work.rows_in_order()
-        rows = judged_rows((self._linked(row, each) for each in self.inputs
-            for row in self.rows.get(each.name, [])), self.limits)
+        linked = (
+            self._linked(row, each) for each in self.inputs for row in self.rows.get(each.name, [])
+        )
+        rows = judged_rows(linked, self.limits)
         csv, json_lines = self.folder.tables
         contents = {csv: in_csv(rows), json_lines: in_json_lines(rows)}
         if self.plan.thumbnails:
             contents |= report_contents(self.folder, rows, self.limits)
         write_results(contents, force=True)
-        return BatchReport(
-            table=csv,
-            planes=len(rows),
-            failed=sum(row["status"] == FAILED for row in rows),
-            left_out=self.left_out,
-            doubtful=sum(bool(row.get("careful")) for row in rows),
-            flagged=sum(bool(row["flags"]) for row in rows),
-            report=self.folder.report if self.plan.thumbnails else None,
-        )
+        page = self.folder.report if self.plan.thumbnails else None
+        return BatchReport.of_rows(rows, csv, left_out=self.left_out, report=page)
 
     def _linked(self, row: Row, each: BatchInput) -> Row:
         """Return a row as tables have it, with the path of its source from their folder."""

@@ -129,4 +129,4 @@ def badness(row: Row) -> tuple[int, float]:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if share >= 0.095 or not share else f"{100 * share:.1f} %"
+    return f"{float(f'{100 * share:.2g}'):g} %"

@@ -59,9 +59,7 @@ def masks_of(sources: Sequence[Path], within: str | os.PathLike[str]) -> dict[Pa
     return masks
 
 
-def _fitting(
-    source: Path, place: Path, held: dict[Path, dict[str, list[Path]]]
-) -> list[Path]:
+def _fitting(source: Path, place: Path, held: dict[Path, dict[str, list[Path]]]) -> list[Path]:
     """Return the masks of a source in the folder of its own folder's name, or else in `place`."""
     for folder in (place / source.absolute().parent.name, place):
         if folder not in held:

@@ -10,6 +10,7 @@ from typing import Any
 import napari_defocus
 from napari_defocus.batch.flags import judged_rows
 from napari_defocus.batch.folder import BatchFolder, read_note
+from napari_defocus.batch.outcome import BatchReport
 from napari_defocus.batch.report_facts import fields_of, plate_of, settings_told, summary_of
 from napari_defocus.batch.table import Row, in_csv, in_json_lines
 from napari_defocus.batch.thumbnails import BLUR, OUTLINE, beside, outline_png, radii_in
@@ -19,7 +20,9 @@ from napari_defocus.io.pictures import UnreadablePicture
 from napari_defocus.settings import FieldLimits
 
 
-def write_report(folder: str | os.PathLike[str], *, limits: FieldLimits | None = None) -> Path:
+def write_report(
+    folder: str | os.PathLike[str], *, limits: FieldLimits | None = None
+) -> BatchReport:
     """Write the report of a batch anew, for instance by other limits; nothing is measured.
 
     The flags in the table follow, so that table and report say the same.
@@ -34,9 +37,9 @@ def write_report(folder: str | os.PathLike[str], *, limits: FieldLimits | None =
 
     Returns
     -------
-    Path
-        `report.html` in that folder, which needs the folder `thumbnails` beside it and nothing
-        else.
+    BatchReport
+        Its `report` is `report.html` in that folder. The page needs the folder `thumbnails` beside
+        it and nothing else.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def write_report(folder: str | os.PathLike[str], *, limits: FieldLimits | None =
         csv, json_lines = place.tables
         contents = {csv: in_csv(rows), json_lines: in_json_lines(rows)}
         write_results(contents | report_contents(place, rows, judging), force=True)
-    return place.report
+    return BatchReport.of_rows(rows, csv, report=place.report)
 
 
 def _rows_in(path: Path) -> list[Row]:
@@ -80,8 +83,7 @@ def _rows_in(path: Path) -> list[Row]:
     except (AttributeError, ValueError) as error:
         raise UnreadablePicture(f"cannot read {path}: it is damaged") from error
     raise UnreadablePicture(
-        f"cannot read {path}: an early version wrote it, without what a report needs; measure "
-        "again"
+        f"cannot read {path}: an early version wrote it, without what a report needs; measure again"
     )
 
 

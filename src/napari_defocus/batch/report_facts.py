@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from napari_defocus.batch.blur_histogram import bin_edges, on_scale
-from napari_defocus.batch.flags import PARTLY, WORST_FIRST, Flag, badness, flags_of
+from napari_defocus.batch.flags import PARTLY, SATURATED, WORST_FIRST, Flag, badness, flags_of
 from napari_defocus.batch.sources import LARGEST_AT_ONCE
 from napari_defocus.batch.table import DONE, Row
 from napari_defocus.batch.thumbnails import (
@@ -24,10 +25,14 @@ from napari_defocus.batch.thumbnails import (
     small_size,
 )
 from napari_defocus.batch.wells import PlateLayout
+from napari_defocus.core.picture_remarks import saturation_remark
+from napari_defocus.likelihood.signs import NOTHING_SEEN, ONE_DIRECTION
 from napari_defocus.settings import FieldLimits
 
 TICKS = (0, 1, 2, 4, 8, 16, 32, 64)
 """px that are written below histograms and at the colour bar."""
+
+_SAID_BY_FLAGS = (NOTHING_SEEN, ONE_DIRECTION)
 
 _PLOT = (200, 40)
 """Width and height of a histogram in its own units."""
@@ -89,7 +94,12 @@ class Field:
     @property
     def notes(self) -> list[str]:
         """What else the reader should know."""
-        row, told = self.row, [self.row["careful"]] if self.row.get("careful") else []
+        row, careful = self.row, self.row.get("careful") or ""
+        for said in _SAID_BY_FLAGS:
+            careful = careful.replace(said, "")
+        if SATURATED in (flag.name for flag in self.flags):
+            careful = careful.replace(saturation_remark(row["share_saturated"]), "")
+        told = [careful.strip()] if careful.strip() else []
         if row["status"] == DONE and row["width"] * row["height"] > LARGEST_AT_ONCE:
             told.append("Saturation and motion are not looked for in so large a picture.")
         return told
@@ -122,17 +132,18 @@ def fields_of(rows: Sequence[Row], limits: FieldLimits) -> list[Field]:
 
 
 def bars_of(counts: Sequence[int]) -> str:
-    """Return a histogram as the outline of its bars, the path of an SVG of `_PLOT` units.
+    """Return a histogram as the outline of its bars, two bins each, for an SVG of `_PLOT` units.
 
     Examples
     --------
-    >>> bars_of([1, 0])
+    >>> bars_of([1, 2, 0, 0])
     'M0 40V0H100V40H200V40Z'
     """
     width, height = _PLOT
-    step, most = width / len(counts), max(counts)
-    tops = [height - round(height * count / most) for count in counts]
-    ends = [round(step * (at + 1), 1) for at in range(len(counts))]
+    pairs = [sum(counts[at : at + 2]) for at in range(0, len(counts), 2)]
+    step, most = width / len(pairs), max(pairs)
+    tops = [height - math.ceil(height * count / most) for count in pairs]
+    ends = [round(step * (at + 1), 1) for at in range(len(pairs))]
     bars = "".join(f"V{top}H{end:g}" for top, end in zip(tops, ends, strict=True))
     return f"M0 {height}{bars}V{height}Z"
 
@@ -251,6 +262,13 @@ class Well:
         return _css(color), "#000" if bright else "#fff"
 
     @property
+    def shown(self) -> str:
+        """The number in the cell."""
+        if self.radius is None:
+            return MISSING
+        return f"{self.radius:.0f}" if self.radius >= 9.95 else f"{self.radius:.1f}"
+
+    @property
     def told(self) -> str:
         """What the cell says to those who do not see it."""
         radius = "not known" if self.radius is None else f"{self.radius:.1f} px"
@@ -279,8 +297,7 @@ def plate_of(fields: Sequence[Field]) -> Plate | None:
     wells = {name: Well(name, tuple(those)) for name, those in held.items()}
     layout = PlateLayout.of(wells)
     rows = [
-        (row, [wells.get(f"{row}{column:02d}") for column in layout.columns])
-        for row in layout.rows
+        (row, [wells.get(f"{row}{column:02d}") for column in layout.columns]) for row in layout.rows
     ]
     return Plate(layout, rows, len(fields) - sum(map(len, held.values())))
 

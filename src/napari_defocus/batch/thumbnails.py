@@ -24,8 +24,11 @@ from napari_defocus.psf import MAX_RADIUS
 SIDE = 200
 """px of the longer side of a thumbnail, and of the sides of a detail."""
 
-_QUALITY = 80
-"""Of JPEG, from 0 to 100: files of 2 to 10 kB."""
+_QUALITY = 75
+"""Of JPEG, from 0 to 100: files of 3 to 15 kB."""
+
+WIDEST = 16.0
+"""px: the radius at which the colours end."""
 
 BLUR, OUTLINE, DETAIL = "-blur.png", "-outline.png", "-detail.jpg"
 """How the names of a field's other small pictures end, beside NAME.jpg."""
@@ -123,7 +126,7 @@ def _jpeg(picture: Image.Image) -> bytes:
 
 
 def blur_png(blur_map: NDArray[Any], known: NDArray[np.bool_]) -> bytes:
-    """Draw a small map, (H, W) in px, in colours of one range from 0 to 64 px; grey if unknown."""
+    """Draw a small map, (H, W) in px, in colours of one range from 0 px on; grey if unknown."""
     radii = np.where(known, np.nan_to_num(blur_map), 0.0)
     levels = 1 + np.rint((_LEVELS - 1) * on_scale(radii)).astype(int)
     indexed = np.where(known, np.clip(levels, 1, _LEVELS), 0).astype(np.uint8)
@@ -131,10 +134,14 @@ def blur_png(blur_map: NDArray[Any], known: NDArray[np.bool_]) -> bytes:
 
 
 def palette() -> NDArray[np.uint8]:
-    """Return the colours of the maps, (256, 3): of what is not known, then of rising radii."""
+    """Return the colours of the maps, (256, 3): of what is not known, then of rising radii.
+
+    From `WIDEST` on they are the same: colours are for what is nearly in focus.
+    """
     from matplotlib import colormaps
 
-    colors = colormaps[COLOR_MAP](np.linspace(0, 1, _LEVELS))[:, :3]
+    share = np.linspace(0, 1 / float(on_scale(WIDEST)), _LEVELS)
+    colors = colormaps[COLOR_MAP](np.minimum(share, 1))[:, :3]
     return np.rint(255 * np.vstack([NOT_TRUSTED_COLOR, colors])).astype(np.uint8)
 
 
@@ -162,7 +169,7 @@ def outline_png(radii: NDArray[Any], limit: float) -> bytes:
     from scipy.ndimage import binary_dilation, binary_erosion, binary_opening
 
     focused = binary_opening(np.nan_to_num(radii, nan=np.inf) <= limit)
-    bright = focused & ~binary_erosion(focused)
+    bright = focused & ~binary_erosion(focused, iterations=2)
     dark = binary_dilation(bright) & ~bright
     indexed = (bright + 2 * dark).astype(np.uint8)
     colors = np.rint(255 * np.array([(0, 0, 0), OUTLINE_COLOR, (0, 0, 0)])).astype(np.uint8)

@@ -54,6 +54,14 @@ def _of_size(picture: NDArray[Any], window: int) -> Iterator[str]:
         )
 
 
+def saturation_remark(share: float) -> str:
+    """Return the sentence about a share of pixels that are saturated."""
+    return (
+        f"{100 * share:.0f} % of the pixels are saturated (as bright as the picture can be), so "
+        "there is no blur to see there."
+    )
+
+
 def share_saturated(picture: NDArray[Any]) -> float | None:
     """Return the share of the known pixels that are as bright as the brightest of all.
 
@@ -108,7 +116,4 @@ def _of_values(picture: NDArray[Any]) -> Iterator[str]:
         return
     saturated = _saturated(values)
     if saturated > SATURATED:
-        yield (
-            f"{100 * saturated:.0f} % of the pixels are saturated (as bright as the picture can "
-            "be), so there is no blur to see there."
-        )
+        yield saturation_remark(saturated)
