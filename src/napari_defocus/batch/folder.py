@@ -129,9 +129,7 @@ class BatchFolder:
         if not self.path.parent.is_dir():
             raise UnwritableResult(f"cannot make {self.path}: there is no folder above it")
         held = [path for path in (*self.tables, self.report) if path.exists()]
-        for place in (self.results, self.thumbnails):
-            if place.exists() and (not place.is_dir() or any(place.iterdir())):
-                held.append(place)
+        held += filter(_is_used, (self.results, self.thumbnails))
         if held and not force:
             raise NeedsForce(
                 f"cannot write into {self.path}: {held[0].name} exists, and no batch made it",
@@ -143,6 +141,10 @@ class BatchFolder:
         places = (self.path, self.results, *small, self.notes, *self.notes.glob("sources/*"))
         for part in chain.from_iterable(folder.glob(_PARTS) for folder in places):
             part.unlink(missing_ok=True)
+
+
+def _is_used(place: Path) -> bool:
+    return place.exists() and (not place.is_dir() or any(place.iterdir()))
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,9 @@ def masks_of(sources: Sequence[Path], within: str | os.PathLike[str]) -> dict[Pa
         if len(masks) > 1:
             names = " and ".join(mask.name for mask in masks[:2])
             raise UnreadablePicture(f"cannot read {place}: {source.name} has {names}")
-    masks = {source: fitting[0] for source, fitting in found.items()}
-    _check_distinct(masks)
-    return masks
+    chosen = {source: fitting[0] for source, fitting in found.items()}
+    _check_distinct(chosen)
+    return chosen
 
 
 def _fitting(source: Path, place: Path, held: dict[Path, dict[str, list[Path]]]) -> list[Path]:

@@ -363,7 +363,7 @@ def _write(
     if task.thumbnail is not None:
         known = made["confidence"] >= CONFIDENT
         known &= True if within is None else within
-        task.thumbnail.parent.mkdir(exist_ok=True)
+        task.thumbnail.parent.mkdir(parents=True, exist_ok=True)
         limits = task.plan.intensity_range
         contents |= small_pictures(task.thumbnail, picture, found.blur_map, known, limits)
     write_results(contents, force=True)

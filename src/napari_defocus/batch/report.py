@@ -11,7 +11,13 @@ import napari_defocus
 from napari_defocus.batch.flags import judged_rows
 from napari_defocus.batch.folder import BatchFolder, read_note
 from napari_defocus.batch.outcome import BatchReport
-from napari_defocus.batch.report_facts import fields_of, plate_of, settings_told, summary_of
+from napari_defocus.batch.report_facts import (
+    fields_of,
+    name_of,
+    plate_of,
+    settings_told,
+    summary_of,
+)
 from napari_defocus.batch.table import Row, in_csv, in_json_lines
 from napari_defocus.batch.thumbnails import BLUR, OUTLINE, beside, outline_png, radii_in
 from napari_defocus.core.extras import need_large_extra
@@ -98,7 +104,7 @@ def report_contents(folder: BatchFolder, rows: list[Row], limits: FieldLimits) -
     limits : FieldLimits
     """
     made_with = read_note(folder.plan) or {}
-    page = page_of(rows, limits, made_with, folder.path.name)
+    page = page_of(rows, limits, made_with)
     return {folder.report: page.encode()} | _outlines(folder, rows, limits)
 
 
@@ -118,7 +124,7 @@ def _outlines(folder: BatchFolder, rows: list[Row], limits: FieldLimits) -> dict
     return changed
 
 
-def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any], name: str) -> str:
+def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any]) -> str:
     """Return a report as HTML.
 
     Parameters
@@ -128,8 +134,6 @@ def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any], nam
     limits : FieldLimits
     made_with : dict
         The facts of the batch's plan.
-    name : str
-        Of the folder.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -142,7 +146,7 @@ def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any], nam
     )
     fields = fields_of(rows, limits)
     return pages.get_template("page.html").render(
-        name=name,
+        name=name_of(fields),
         version=napari_defocus.__version__,
         fields=fields,
         summary=summary_of(fields, limits),

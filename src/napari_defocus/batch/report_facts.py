@@ -65,6 +65,16 @@ class Field:
         return self.row.get("median_known_radius_px")
 
     @property
+    def in_focus(self) -> str:
+        """The share of what is known that is in focus by the limits."""
+        return _percent(self.row.get("share_within_limit"))
+
+    @property
+    def known(self) -> str:
+        """The share of the field whose blur is known."""
+        return _percent(self.row.get("share_sure"))
+
+    @property
     def picture_link(self) -> str:
         """The picture itself."""
         return _link(self.row["link"])
@@ -121,6 +131,10 @@ class Field:
         return bars_of(counts) if sum(counts) else ""
 
 
+def _percent(share: float | None) -> str:
+    return MISSING if share is None else f"{100 * share:.0f} %"
+
+
 def _link(path: str) -> str:
     return path if ":" in path.partition("/")[0] else quote(path)
 
@@ -129,6 +143,14 @@ def fields_of(rows: Sequence[Row], limits: FieldLimits) -> list[Field]:
     """Return the fields of judged rows, worst first; alike ones as the table has them."""
     ranked = sorted(rows, key=badness)
     return [Field(at + 1, row, flags_of(row, limits)) for at, row in enumerate(ranked)]
+
+
+def name_of(fields: Sequence[Field]) -> str:
+    """Return the name of the folder of the pictures, or how many folders there are."""
+    folders = {str(PurePath(field.row["link"]).parent) for field in fields}
+    if len(folders) != 1:
+        return f"{len(folders)} folders"
+    return PurePath(folders.pop()).name or "one folder"
 
 
 def bars_of(counts: Sequence[int]) -> str:

@@ -19,6 +19,7 @@ from napari_defocus.batch.folder import (
     distinct_names,
     identity,
 )
+from napari_defocus.batch.masks_beside import MaskSource
 from napari_defocus.batch.planes import (
     KINDS,
     BatchPlan,
@@ -30,7 +31,6 @@ from napari_defocus.batch.planes import (
     go_on_from_whole,
     reason,
 )
-from napari_defocus.batch.masks_beside import MaskSource
 from napari_defocus.batch.table import DONE, Row, source_facts
 from napari_defocus.batch.thumbnails import remove_small_pictures
 from napari_defocus.core.intensity import needs_limits

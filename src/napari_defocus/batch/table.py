@@ -80,10 +80,10 @@ class PixelCounts:
     @classmethod
     def of_note(cls, note: Mapping[str, Any]) -> PixelCounts:
         """Return the counts of a `note`."""
-        counted = ("radii", "known_radii", "confidences")
-        return cls(
-            *(np.array(note[key], np.int64) for key in counted), note["in_focus"], note["sure"]
+        radii, known, confidences = (
+            np.array(note[key], np.int64) for key in ("radii", "known_radii", "confidences")
         )
+        return cls(radii, known, confidences, note["in_focus"], note["sure"])
 
     def facts(self) -> Row:
         """Return what a row says of them; None where no pixel counts."""

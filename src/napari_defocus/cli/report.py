@@ -31,7 +31,7 @@ def report(folder: Path, *, flagging: LimitOptions, progress: Progress) -> dict[
     limits = flagging.limits()
     written = napari_defocus.write_report(folder, limits=limits)
     return {
-        "report": str(folder / written.report.name),
+        "report": str(written.report),
         "planes": written.planes,
         "flagged": written.flagged,
         "limits": asdict(limits),
