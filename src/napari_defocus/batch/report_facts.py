@@ -111,7 +111,7 @@ class Field:
             careful = careful.replace(saturation_remark(row["share_saturated"]), "")
         told = [careful.strip()] if careful.strip() else []
         if row["status"] == DONE and row["width"] * row["height"] > LARGEST_AT_ONCE:
-            told.append("Saturation and motion are not looked for in so large a picture.")
+            told.append("Motion is not looked for in so large a picture.")
         return told
 
     @property

@@ -187,7 +187,7 @@ class SourceWork:
 
     def thumbnail_of(self, index: Index) -> Path | None:
         """Return where the thumbnail of a plane is, if there are to be any."""
-        wanted = self.plan.thumbnails and not self.in_parts
+        wanted = self.plan.thumbnails
         return self.folder.thumbnail(self.input.name, index) if wanted else None
 
     def _results_of(self, index: Index) -> dict[str, str]:

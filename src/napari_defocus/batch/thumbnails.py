@@ -70,20 +70,36 @@ def small_pictures(
         The intensities that are shown as black and white.
     """
     color = shown_colors(prepare_image(picture, intensity_range))
-    shown = np.rint(255 * color).astype(np.uint8).squeeze()
-    whole, size = Image.fromarray(shown), small_size(*shown.shape[:2])
-    small = whole.resize(size[::-1], Image.Resampling.BOX, reducing_gap=None)
-    detail = whole.crop(_liveliest(shown, known))
+    whole, size = as_image(color), small_size(*color.shape[:2])
+    small = whole.resize(size[::-1], Image.Resampling.BOX)
+    detail = whole.crop(_liveliest(np.asarray(whole), known))
     rows, columns = (
         ((np.arange(few) + 0.5) * many / few).astype(int)
-        for few, many in zip(size, shown.shape, strict=False)
+        for few, many in zip(size, known.shape, strict=True)
     )
     sampled = np.ix_(rows, columns)
+    return encoded(thumbnail, small, detail, blur_map[sampled], known[sampled])
+
+
+def encoded(
+    thumbnail: Path,
+    small: Image.Image,
+    detail: Image.Image,
+    radii: NDArray[Any],
+    known: NDArray[np.bool_],
+) -> dict[Path, bytes]:
+    """Return the files of a field whose picture and blur are as small as they are shown."""
     return {
         thumbnail: _jpeg(small),
         beside(thumbnail, DETAIL): _jpeg(detail),
-        beside(thumbnail, BLUR): blur_png(blur_map[sampled], known[sampled]),
+        beside(thumbnail, BLUR): blur_png(radii, known),
     }
+
+
+def as_image(color: NDArray[np.floating]) -> Image.Image:
+    """Return colours, (H, W, 1 or 3) in [0, 1], as a picture of 8 bits."""
+    shown = np.rint(255 * color).astype(np.uint8)
+    return Image.fromarray(shown[..., 0] if shown.shape[2] == 1 else shown)
 
 
 def small_size(height: int, width: int) -> tuple[int, int]:

@@ -17,10 +17,14 @@ import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
 from napari_defocus.batch.table import DONE, PixelCounts, Row
+from napari_defocus.batch.tile_thumbnails import small_pictures_of_tiles, tile_sample
+from napari_defocus.core.picture_remarks import brightest_pixels
 from napari_defocus.core.progress import silent
+from napari_defocus.core.writing import write_results
 from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
 from napari_defocus.psf import AUTO
+from napari_defocus.settings import CONFIDENT
 
 Region = tuple[slice, slice]
 
@@ -36,6 +40,7 @@ class TileNote:
     px: int
     counts: PixelCounts
     noise: Row
+    brightest: tuple[float, int, int]
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,12 @@ class _TileTask:
     targets: tuple[Target, ...]
     note: Path
     plan: BatchPlan
+    plane_shape: tuple[int, int]
+
+    @property
+    def sample(self) -> Path:
+        """Where the pixels for the thumbnail are."""
+        return self.note.with_suffix(".npz")
 
 
 class TiledPlane:
@@ -93,16 +104,39 @@ class TiledPlane:
             return failed(known, self.error)
         counts = reduce(add, (note.counts for note in self.notes))
         row = known | {"status": DONE} | counts.facts() | self.notes[0].noise | self.task.results
+        row["share_saturated"] = self._share_saturated()
+        if not self._write_thumbnail():
+            row.pop("thumbnail", None)
         write_note(self.task.row_path, row)
         for tile in self._parts:
             tile.note.unlink(missing_ok=True)
+            tile.sample.unlink(missing_ok=True)
         return row
+
+    def _share_saturated(self) -> float | None:
+        most = max(note.brightest[0] for note in self.notes)
+        alike = sum(note.brightest[1] for note in self.notes if note.brightest[0] == most)
+        counted = sum(note.brightest[2] for note in self.notes)
+        return alike / counted if counted and alike < counted else None
+
+    def _write_thumbnail(self) -> bool:
+        """Write the small pictures; return whether an earlier run left what they need."""
+        thumbnail, samples = self.task.thumbnail, [tile.sample for tile in self._parts]
+        if thumbnail is None or not all(sample.exists() for sample in samples):
+            return False
+        parts = (sample.read_bytes() for sample in samples)
+        limits = self.task.plan.intensity_range
+        thumbnail.parent.mkdir(parents=True, exist_ok=True)
+        contents = small_pictures_of_tiles(thumbnail, self._plane, parts, limits)
+        write_results(contents, force=True)
+        return True
 
     def _part(self, region: Region) -> _TileTask:
         task, (rows, columns) = self.task, region
         name = f"{task.row_path.stem}-at-{rows.start}-{columns.start}.json"
         note = task.row_path.with_name(name)
-        return _TileTask(region, task.index, task.targets, note, task.plan)
+        shape = task.plane.shape[:2]
+        return _TileTask(region, task.index, task.targets, note, task.plan, shape)
 
     def _measured(self) -> tuple[dict[str, Any], Any, Any]:
         """Return dask arrays of all that is wanted, the noise, delayed, and the threshold."""
@@ -122,6 +156,7 @@ class TiledPlane:
         within = self._within()
         threshold = self._threshold(lazy, within)
         found = lazy.measure(asked, within=within, threshold=threshold)
+        found["picture"] = plane
         if within is not None:
             found["within"] = within
         if restoration is not None:
@@ -158,7 +193,8 @@ def _finished(tile: _TileTask) -> TileNote | None:
     known = read_note(tile.note)
     if known is None or not all(t.has((*tile.index, *tile.region)) for t in tile.targets):
         return None
-    return TileNote(_px(tile.region), PixelCounts.of_note(known["counts"]), known["noise"])
+    counts = PixelCounts.of_note(known["counts"])
+    return TileNote(_px(tile.region), counts, known["noise"], tuple(known["brightest"]))
 
 
 def _write(
@@ -175,5 +211,15 @@ def _write(
         target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
     known = {"noise_variance": float(noise.known), "threshold_px": threshold}
     known |= noise.intensities.facts()
-    write_note(tile.note, {"counts": counts.note(), "noise": known})
-    return TileNote(_px(tile.region), counts, known)
+    brightest = brightest_pixels(found["picture"])
+    if plan.thumbnails:
+        write_results({tile.sample: _sample(tile, found)}, force=True)
+    write_note(tile.note, {"counts": counts.note(), "noise": known, "brightest": brightest})
+    return TileNote(_px(tile.region), counts, known, brightest)
+
+
+def _sample(tile: _TileTask, found: dict[str, NDArray[Any]]) -> bytes:
+    known = found["confidence"] >= CONFIDENT
+    if "within" in found:
+        known &= found["within"] != 0
+    return tile_sample(tile.region, tile.plane_shape, found["picture"], found["blur_map"], known)

@@ -82,6 +82,25 @@ def share_saturated(picture: NDArray[Any]) -> float | None:
     return _saturated(values)
 
 
+def brightest_pixels(picture: NDArray[Any]) -> tuple[float, int, int]:
+    """Return the brightest known value of a part of a picture, its pixels, and all known ones.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) or (H, W, 4) ndarray
+
+    Examples
+    --------
+    >>> brightest_pixels(np.array([[1, 4, 4, 2]] * 2))
+    (4.0, 4, 8)
+    """
+    values = _known_colors(picture)
+    if not len(values):
+        return -np.inf, 0, 0
+    most = values.max()
+    return float(most), int((values == most).all(axis=1).sum()), len(values)
+
+
 def _known_colors(picture: NDArray[Any]) -> NDArray[Any]:
     """Return the colours of the known pixels, (N, C)."""
     colors = np.ma.getdata(picture)
