@@ -359,6 +359,13 @@ def test_large_plane_is_measured_in_parts_and_goes_on(tmp_path, grass, monkeypat
     for name in ("median_radius_px", "share_sure", "p95_radius_px"):
         assert row[name] == pytest.approx(as_one[name], abs=0.03)
     assert row["threshold_px"] == as_one["threshold_px"]
+    for ending, apart in ((".jpg", 4), ("-blur.png", 4), ("-detail.jpg", 60)):
+        found, expected = (
+            np.asarray(PIL.Image.open(folder / "thumbnails" / f"wide{ending}"), float)
+            for folder in (tmp_path / "out", tmp_path / "whole")
+        )
+        assert np.abs(found - expected).mean() < apart, ending
+    assert not list((tmp_path / "out" / ".batch").rglob("*.npz"))
     found, expected = (
         open_source(folder / "maps" / "wide-blur.tif").data.compute()
         for folder in (tmp_path / "out", tmp_path / "whole")

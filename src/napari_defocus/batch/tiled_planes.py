@@ -209,8 +209,10 @@ def _write(
     for target in tile.targets:
         assert target.writer is not None
         target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
-    known = {"noise_variance": float(noise.known), "threshold_px": threshold}
-    known |= noise.intensities.facts()
+    # A plane of one tile keeps its noise and its intensities to itself.
+    variance = None if noise.known is None else float(noise.known)
+    known = {"noise_variance": variance, "threshold_px": threshold}
+    known |= {} if noise.intensities is None else noise.intensities.facts()
     brightest = brightest_pixels(found["picture"])
     if plan.thumbnails:
         write_results({tile.sample: _sample(tile, found)}, force=True)
