@@ -223,8 +223,8 @@ def counts(*radii):
         ({"share_sure": 0.01, "median_known_radius_px": 9.0}, {}, ["empty"]),
         ({"share_sure": None}, {}, ["empty"]),
         ({"share_sure": 0.01}, {"min_share_known": 0}, []),
-        ({"one_direction": 1.5, "median_known_radius_px": 9.0}, {}, ["not defocus"]),
-        ({"one_direction": 1.5}, {"max_one_direction": 2}, []),
+        ({"one_direction": 0.97, "median_known_radius_px": 9.0}, {}, ["not defocus"]),
+        ({"one_direction": 0.97}, {"max_one_direction": 1}, []),
         (
             {"share_saturated": 0.2, "median_known_radius_px": 9.0},
             {},

@@ -69,7 +69,7 @@ def _emptiness(row: Row, limits: FieldLimits) -> Iterator[Flag]:
 def _motion(row: Row, limits: FieldLimits) -> Iterator[Flag]:
     preferred = row.get("one_direction")
     if preferred is not None and preferred > limits.max_one_direction:
-        much = f"{preferred:.2g}, more than {limits.max_one_direction:g}"
+        much = f"{preferred:.2f}, more than {limits.max_one_direction:g}"
         yield Flag(NOT_DEFOCUS, f"details lie in one direction, as after motion ({much})")
     elif ONE_DIRECTION in (row.get("careful") or ""):
         yield Flag(NOT_DEFOCUS, "nearly all details lie in one direction, as after motion")

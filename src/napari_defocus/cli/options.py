@@ -146,8 +146,8 @@ min_share_known SHARE
 max_share_saturated SHARE
     A field is flagged as saturated if more of its pixels are as bright as can be.
 max_one_direction NUMBER
-    A field is flagged as not defocus if its details prefer one direction by more: 0 is not at all,
-    above 1 is usual after motion.
+    A field is flagged as not defocus if its details agree more in one direction, as after motion:
+    0 is not at all, 1 is all in one. For cells and tissue, 0.6 finds more than the default.
 settings_file --settings PATH
     A file that --save-settings wrote (.json), or that you edited. Options that you give here count
     more than the file.

@@ -120,10 +120,11 @@ def doubt_of(strength: Float32 | None, direction: Float32 | None) -> str | None:
 
 
 def one_direction(strength: Float32 | None, direction: Float32 | None) -> float | None:
-    """Return how far the details of a picture prefer one direction: |mean of d| above.
+    """Return how far the windows of a picture agree in one direction: |mean d| / mean |d|.
 
-    It is 0.1 to 1.2 on photographs, 2.3 on a dune, and 1.2 to 4.9 after motion. None where no
-    window is strong.
+    It is from 0 to 1. Cells and tissue have 0.02 to 0.5, and 0.7 to 0.98 after motion of 20 px;
+    photographs have 0.2 to 0.6, but up to 0.9 where things lie side by side, such as stalks,
+    bricks and brushes. None where no window is strong.
 
     Parameters
     ----------
@@ -134,7 +135,10 @@ def one_direction(strength: Float32 | None, direction: Float32 | None) -> float 
     if strength is None or direction is None:
         return None
     mean = _mean_direction(strength, direction)
-    return None if mean is None else float(np.hypot(*mean))
+    if mean is None:
+        return None
+    strong = direction[strength >= _STRONG].astype(np.float64)
+    return float(np.hypot(*mean) / max(np.hypot(strong[:, 0], strong[:, 1]).mean(), 1e-9))
 
 
 def _mean_direction(strength: Float32, direction: Float32) -> NDArray[np.float64] | None:
