@@ -6,10 +6,12 @@
 
 Rows A to H are stained cells, from few to many; the others tissue (`immunohistochemistry` of
 scikit-image). A well is in focus, or 2, 4 or 8 px out of focus, empty, saturated, or moved by 20
-px while the shutter was open. All have noise, and 8 bits. The limits are those of `LIMITS`, as a lab
-would set them for such plates; it is told what the defaults give. The time is that of `measure_batch` on
-two workers, with its table and its report; kernels are compiled before. Where other programs use
-the same cores, the seconds of the processors say more: half of them is the time on two free ones.
+px while the shutter was open. All have noise, and 8 bits. The limits are those of `LIMITS`, as a
+lab would set them for such plates; it is told what the defaults give.
+
+The time is that of `measure_batch` on two workers, with its table and its report; kernels are
+compiled before. Where other programs use the same cores, the seconds of the processors say more:
+half of them is the time on two free ones.
 """
 
 import argparse
