@@ -11,13 +11,8 @@ import napari_defocus
 from napari_defocus.batch.flags import judged_rows
 from napari_defocus.batch.folder import BatchFolder, read_note
 from napari_defocus.batch.outcome import BatchReport
-from napari_defocus.batch.report_facts import (
-    fields_of,
-    name_of,
-    plate_of,
-    settings_told,
-    summary_of,
-)
+from napari_defocus.batch.plate_facts import plate_of
+from napari_defocus.batch.report_facts import fields_of, name_of, settings_told, summary_of
 from napari_defocus.batch.table import Row, in_csv, in_json_lines
 from napari_defocus.batch.thumbnails import BLUR, OUTLINE, beside, outline_png, radii_in
 from napari_defocus.core.extras import need_large_extra

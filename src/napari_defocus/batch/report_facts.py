@@ -14,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from napari_defocus.batch.blur_histogram import bin_edges, on_scale
-from napari_defocus.batch.flags import PARTLY, SATURATED, WORST_FIRST, Flag, badness, flags_of
+from napari_defocus.batch.flags import SATURATED, WORST_FIRST, Flag, badness, flags_of
 from napari_defocus.batch.sources import LARGEST_AT_ONCE
 from napari_defocus.batch.table import DONE, Row
 from napari_defocus.batch.thumbnails import (
@@ -24,7 +24,6 @@ from napari_defocus.batch.thumbnails import (
     palette,
     small_size,
 )
-from napari_defocus.batch.wells import PlateLayout
 from napari_defocus.core.picture_remarks import saturation_remark
 from napari_defocus.likelihood.signs import NOTHING_SEEN, ONE_DIRECTION
 from napari_defocus.settings import FieldLimits
