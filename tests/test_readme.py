@@ -122,7 +122,11 @@ def quick(monkeypatch):
 
     def unchanged(image, *_, return_fit=False, **__):
         same = np.asarray(image, np.float32) / 255
-        return (same, RestorationFit(1e-5, 1e-3, 0.0)) if return_fit else same
+        return (
+            (same, RestorationFit(1e-5, 1e-3, 0.0, np.zeros(image.shape[:2], np.float32)))
+            if return_fit
+            else same
+        )
 
     for name in ("restore_all_in_focus", "change_focus"):
         monkeypatch.setattr(napari_defocus, name, unchanged)

@@ -13,7 +13,7 @@ from napari_defocus.cli.command import Facts, command, last_lines
 from napari_defocus.cli.description import lines_of, map_facts, picture_facts
 from napari_defocus.cli.option_groups import MapOrFileOptions, RestorationOptions
 from napari_defocus.cli.options import Encoding
-from napari_defocus.cli.results import Files, beside, check_endings, encoded
+from napari_defocus.cli.results import Files, beside, check_endings, encoded, encoded_left
 from napari_defocus.cli.thin_lens import (
     LensOptions,
     check_side,
@@ -45,6 +45,12 @@ output -o PATH
     (.tif). Can be given twice. [default: NAME-{}.png beside IMAGE]
 """
 
+
+_LEFT = """
+left_as_it_was PATH
+    Where to write how far each pixel was left as it was, because it would get rings: values from 0,
+    restored, to 1 (.tif) or a drawing (.png).
+"""
 
 _LEAST_PERCENT = 0.5
 """Of the picture: less is not worth a line."""
@@ -86,13 +92,14 @@ def _refocused_lines(facts: Facts) -> Iterator[str]:
     yield from last_lines(facts)
 
 
-@command(_restored_lines, _OUTPUTS.format("in-focus"))
+@command(_restored_lines, _OUTPUTS.format("in-focus") + _LEFT)
 def restore(
     image: Path,
     *,
     restoring: RestorationOptions,
     measuring: MapOrFileOptions,
     output: list[Path] | None = None,
+    left_as_it_was: Path | None = None,
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -102,8 +109,9 @@ def restore(
     outputs = output or beside(image, "-in-focus.png")
     settings, asked = measuring.settings(), restoring.settings()
     intensity_range = measuring.intensity_range
-    check_endings(outputs, ".png", ".tif", ".tiff")
-    picture = files.read(image, outputs, *measuring.files)
+    lefts = [left_as_it_was] if left_as_it_was else []
+    check_endings([*outputs, *lefts], ".png", ".tif", ".tiff")
+    picture = files.read(image, [*outputs, *lefts], *measuring.files)
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
     if found.intensities is None:
@@ -113,10 +121,11 @@ def restore(
     )
     found = replace(found, noise_variance=fit.noise_variance)
     shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "unrestored": fit.unrestored}
-    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, [*outputs, *lefts], found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
     contents = _encoded(outputs, sharp, picture, ALL_IN_FOCUS, made_with)
+    contents |= encoded_left(lefts, fit, made_with)
     files.write(contents, "restore", map=settings, restoration=asked)
     return facts
 

@@ -452,7 +452,7 @@ def test_picture_replaced_while_it_runs_gets_no_result(
         while not go_on:
             progress("Taking the blur away", 0.2)
             time.sleep(0.01)
-        return image, RestorationFit(1e-5, 2e-3, 0.0)
+        return image, RestorationFit(1e-5, 2e-3, 0.0, np.zeros(image.shape[:2], np.float32))
 
     monkeypatch.setitem(vars(napari_defocus), "restore_all_in_focus", restore_all_in_focus)
     widget = opened(AllInFocusWidget)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import dask.array as da
 import numpy as np
 import pytest
@@ -64,6 +66,23 @@ def test_picture_all_in_focus_lies_on_the_picture_above_its_map(viewer, leaf, me
     assert made["settings"]["restoration"]["tv_weight"] is None
     assert made["noise_variance"] > 0
     assert "(found)" in results.summary
+
+
+@pytest.mark.parametrize("refocused", [False, True])
+def test_what_is_left_as_it_was_is_a_veil_over_the_picture_if_asked_for(
+    viewer, leaf, method, refocused
+):
+    asked = replace(restoration(viewer, leaf), show_left=True)
+    if refocused:
+        asked = Refocusing(restoration=asked, view=RefocusSettings(focus=2.0))
+    results = asked.run(JobCache())
+    *_, veil = add_results(viewer, results.layers)
+    assert veil is viewer.layers[-1]
+    assert veil.name == "leaf left as it was"
+    assert (veil.data == 0.125).all()
+    assert veil.colormap.map(np.array([0.0, 1.0]))[:, 3] == pytest.approx([0.0, 0.6], abs=0.01)
+    np.testing.assert_allclose(veil.data_to_world((3, 4)), leaf.data_to_world((3, 4)))
+    assert "12% of the picture was left as it was" in results.summary
 
 
 def test_what_the_blur_map_widget_has_estimated_is_used(viewer, leaf, method):
