@@ -54,7 +54,8 @@ class FocusCurveWidget(RunPanel):
         self.best_button = PushButton(
             name="best",
             text="Go to the sharpest plane",
-            tooltip="Show the plane with the most in focus; of several, the least blurred one.",
+            tooltip="Show the plane with the most in focus; of several with about as much, the "
+            "least blurred one.",
         )
         self.save_button = PushButton(
             name="save_curve",
@@ -192,7 +193,8 @@ class FocusCurveWidget(RunPanel):
             self.say("Nothing is known of these planes.")
             return
         share, radius = curve.share_in_focus[curve.best], curve.median_radius[curve.best]
-        self.say(f"Sharpest: plane {curve.best[0]}, {share:.0%} in focus, median {radius:.2f} px")
+        found = f"Sharpest: plane {curve.best[0]}, {share:.0%} in focus, median {radius:.2f} px"
+        self.say(f"{found}\nIt rests on {curve.rests_on}.")
 
     def _on_dims(self, _: Any = None) -> None:
         if self._closed or self._shown_curve() is None:
