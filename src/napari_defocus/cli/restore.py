@@ -291,7 +291,7 @@ def _focus_facts(
     return (
         {"focus_px": blur if beyond == (side == "far") else -blur}
         | told
-        | lens_facts(lens, thin_lens)
+        | lens_facts(image, lens, thin_lens)
     )
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import napari_defocus
 from napari_defocus.cli.option_groups import OptionGroup
 from napari_defocus.core.checks import Side
+from napari_defocus.optics.exif import noted_lens
 
 if TYPE_CHECKING:
     from napari_defocus.optics.thin_lens import ThinLens
@@ -53,14 +54,16 @@ def check_side(side: Side, lens: ThinLens) -> None:
         raise ValueError("side is 'far', but the lens is focused at infinity; it takes 'near'")
 
 
-def lens_facts(lens: ThinLens, options: LensOptions) -> dict[str, Any]:
-    """Return what is told about a lens; JSON has no number for infinity."""
+def lens_facts(image: Path, lens: ThinLens, options: LensOptions) -> dict[str, Any]:
+    """Return what is told about the lens of a picture; JSON has no number for infinity."""
     given = options.given
     values = {name: getattr(lens, name) for name in given}
     facts: dict[str, Any] = {
         name: value if math.isfinite(value) else "inf" for name, value in values.items()
     }
     facts["from_exif"] = [name for name, value in given.items() if value is None]
+    if options.pixel_pitch is None:
+        facts["pixel_pitch_from"] = noted_lens(image, options.focal_length).pitch_from
     return {"thin_lens": facts}
 
 
@@ -75,7 +78,9 @@ def lens_line(facts: Mapping[str, Any]) -> str:
         "pixel_pitch_um": f"pixels of {lens['pixel_pitch_um']:.4g} um",
     }
     noted = lens["from_exif"]
-    told = (part + " (EXIF)" * (name in noted) for name, part in parts.items())
+    told = [part + " (EXIF)" * (name in noted) for name, part in parts.items()]
+    if "pixel_pitch_from" in lens:
+        told[-1] = f"{parts['pixel_pitch_um']} (EXIF: {lens['pixel_pitch_from']})"
     return f"thin lens    {', '.join(told)}"
 
 
