@@ -156,8 +156,9 @@ def test_all_that_is_missing_is_named_in_one_line(photograph):
     assert str(caught.value) == (
         f"the EXIF of {file} does not note focal_length_mm, f_number, focus_distance_m and "
         "pixel_pitch_um; give what is missing. Pixel pitch in um = 1000 x sensor width in mm / "
-        "picture width in px, if nothing was cropped; for 600 px that is 60 with 36 mm (full frame), "
-        "39.2 with 23.5 mm (APS-C), 28.8 with 17.3 mm (Four Thirds), 12.5 with 7.5 mm (a phone's)"
+        "picture width in px, if nothing was cropped; for 600 px that is 60 with 36 mm "
+        "(full frame), 39.2 with 23.5 mm (APS-C), 28.8 with 17.3 mm (Four Thirds), "
+        "12.5 with 7.5 mm (a phone's)"
     )
     with pytest.raises(ValueError, match="does not note focus_distance_m; give"):
         ThinLens.from_exif(photograph(**{**NOTED, "SubjectDistance": IFDRational(0, 1)}))

@@ -27,8 +27,8 @@ _LEAST_KNOWN = 0.01
 """Of a plane: if less is known, its share in focus and its median radius are not."""
 
 _AS_MUCH = 0.75
-"""Times the most in focus: a plane with so much counts as one with as much. How much is sure differs
-by that among planes of one stack, whatever their focus."""
+"""Times the most in focus: a plane with so much counts as one with as much. By hand: how much is
+sure differs by that among planes of one stack, whatever their focus."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
