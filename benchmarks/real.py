@@ -145,7 +145,9 @@ def mitochondria(real: Path, measure: Measure) -> tuple[float, list[tuple[float,
 def sharpest_mitochondria(real: Path, measure: Measure) -> str:
     """Return which plane the focus curve names, by its distance from focus."""
     paths = sorted((real / "mitochondria").glob("*.tif"), key=_distance)
-    maps, sure = (np.stack(each) for each in zip(*(measure(tifffile.imread(p)) for p in paths)))
+    maps, sure = (
+        np.stack(each) for each in zip(*(measure(tifffile.imread(p)) for p in paths), strict=True)
+    )
     curve = focus_curve(maps, confidence=sure)
     assert curve.best is not None
     return f"{_distance(paths[curve.best[0]]):+.1f} um, resting on {curve.rests_on}"

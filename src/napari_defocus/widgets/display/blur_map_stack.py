@@ -146,7 +146,7 @@ def curve_along(curve: FocusCurve, layer: Image, dims: Dims, slider: int) -> Foc
         return None
     at: list[int | slice] = list(shown_planes(layer, dims))
     at[slider] = slice(None)
-    parts = {
+    parts: dict[str, Any] = {
         name: None if values is None else values[tuple(at)] for name, values in vars(curve).items()
     }
     return FocusCurve(**parts)
