@@ -19,6 +19,7 @@ from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import as_dask
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, check_pixels
 from napari_defocus.widgets.layers.result_metadata import (
+    ALIGNMENT,
     AT,
     BEST_FOCUS,
     FOCUS_CONFIDENCE,
@@ -30,6 +31,7 @@ from napari_defocus.widgets.layers.result_metadata import (
 )
 
 if TYPE_CHECKING:
+    from napari_defocus.stacks.alignment import StackAlignment
     from napari_defocus.stacks.focus_stacking import SharpestPlane
 
 Choice = Literal["auto"] | bool
@@ -61,6 +63,8 @@ class FocusStacking:
         By how many px the radius grows from plane to plane; None to find it.
     align, match_brightness : "auto" or bool
         Whether planes are laid on each other first, and made equally bright.
+    laid : StackAlignment or None
+        How planes are laid on each other, found before; it counts more than `align`.
     blend : bool
         Whether planes are blended, or each pixel is that of one plane.
     peak : {"strongest", "first", "last"}
@@ -92,6 +96,7 @@ class FocusStacking:
     px_per_plane: float | None = None
     align: Choice = "auto"
     match_brightness: Choice = "auto"
+    laid: StackAlignment | None = None
     blend: bool = True
     peak: Peak = "strongest"
     also: Plane | None = None
@@ -111,6 +116,8 @@ class FocusStacking:
                 "the field empty to have it found."
             )
         check_pixels(self.plane.shape)
+        if self.laid is not None:
+            self.laid.check_fits(self.plane.shape, self.count)
         if self.also is not None:
             other = self._of(self.also)
             if (other.plane.shape[:2], other.count) != (self.plane.shape[:2], self.count):
@@ -154,7 +161,7 @@ class FocusStacking:
             smoothness=settings.smoothness,
             color_sigma=settings.color_sigma,
             linearize=settings.linearize,
-            align=self.align,
+            align=self.align if self.laid is None else self.laid,
             match_brightness=self.match_brightness,
             blend=self.blend,
             peak=self.peak,
@@ -216,6 +223,12 @@ class FocusStacking:
             self._layer(found, FOCUS_CONFIDENCE, found.confidence, **(sure | hidden)),
         ]
 
+    def _alignment(self, found: SharpestPlane) -> StackAlignment:
+        """Return how the planes lie on each other, also if none has moved."""
+        from napari_defocus import StackAlignment
+
+        return found.alignment or StackAlignment.still(self.plane.shape, self.count)
+
     def _layer_of_pixels(self, found: SharpestPlane, composite: NDArray[Any]) -> LayerDataTuple:
         rgb = composite.ndim == 3
         limits = {} if rgb else {"contrast_limits": self.plane.contrast_limits}
@@ -226,12 +239,15 @@ class FocusStacking:
     ) -> LayerDataTuple:
         own = ("px_per_plane", "axis", "align", "match_brightness", "blend", "peak")
         settings = asdict(self.settings) | {name: getattr(self, name) for name in own}
+        if self.laid is not None:
+            settings["align"] = "as given"
         facts = {
             "noise_variance": found.noise_variance,
             "intensities": found.intensities.facts(),
             "px_per_plane": found.px_per_plane,
             "share_of_plane": found.share_of_plane.tolist(),
             "gain": found.gain.tolist(),
+            ALIGNMENT: self._alignment(found).as_dict(),
             "notes": list(found.notes),
         }
         layer = result_layer(self.plane, result, values, settings, facts, **looks)

@@ -53,6 +53,9 @@ PLANES = "planes"
 STORE = "store"
 """Where the metadata of a result that is kept on the disk say in which folder, and how long."""
 
+ALIGNMENT = "alignment"
+"""Where the metadata of a stack's sharpest pixels say how its planes lie on each other."""
+
 REGION = "region"
 """Where the metadata of a result say which part of a plane it is of, see `region_description`."""
 
