@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,10 +15,9 @@ from napari_defocus.cli.options import Encoding
 from napari_defocus.cli.results import Files, beside, check_endings, encoded, encoded_left
 from napari_defocus.cli.thin_lens import (
     LensOptions,
-    check_side,
-    lens_facts,
+    check_change,
+    focus_facts,
     lens_line,
-    lens_of,
     side_line,
 )
 from napari_defocus.core.checks import Linearize, Side
@@ -175,10 +173,10 @@ def refocus(
     outputs = output or beside(image, "-refocused.png")
     settings, asked = measuring.settings(), restoring.settings()
     intensity_range = measuring.intensity_range
-    _check_change(focus, sharp_at, aperture, thin_lens)
+    check_change(focus, sharp_at, aperture, thin_lens)
     check_endings(outputs, ".png", ".tif", ".tiff")
     picture = files.read(image, outputs, *measuring.files)
-    change = _focus_facts(image, focus, sharp_at, side, thin_lens)
+    change = focus_facts(image, focus, sharp_at, side, thin_lens)
     change |= {"aperture": aperture, "side": side, "encoding": encoding}
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
@@ -251,47 +249,6 @@ def _encoded(
         outputs,
         lambda: picture_png(shown, picture, quantity),
         lambda: picture_tiff(shown, quantity, made_with),
-    )
-
-
-def _check_change(
-    focus: float | None, sharp_at: float | None, aperture: float, thin_lens: LensOptions
-) -> None:
-    """Check what shall change, as far as that goes without the lens."""
-    if focus is not None and sharp_at is not None:
-        raise ValueError(f"focus is {focus} and sharp_at is {sharp_at}; one of them is enough")
-    if sharp_at is None:
-        for name, value in thin_lens.given.items():
-            if value is not None:
-                raise ValueError(f"{name} is {value}, but only sharp_at takes a lens")
-        if focus in (None, RefocusSettings.focus) and aperture == RefocusSettings.aperture:
-            raise ValueError("nothing would change; give --focus, --sharp-at or --aperture")
-    elif not sharp_at > 0:
-        raise ValueError(f"sharp_at is {sharp_at}; it takes a distance above 0 m")
-    RefocusSettings(focus=focus or 0.0, aperture=aperture)
-
-
-def _focus_facts(
-    image: Path,
-    focus: float | None,
-    sharp_at: float | None,
-    side: Side,
-    thin_lens: LensOptions,
-) -> dict[str, Any]:
-    """Return the blur of what shall be sharp, and how it was found."""
-    if sharp_at is None:
-        return {"focus_px": RefocusSettings.focus if focus is None else focus}
-    lens = lens_of(image, thin_lens)
-    check_side(side, lens)
-    blur = float(napari_defocus.blur_from_depth(sharp_at, lens))
-    if not math.isfinite(blur):
-        raise ValueError(f"sharp_at is {sharp_at}; nothing so near can be made sharp")
-    beyond = sharp_at > lens.focus_distance_m
-    told = {"sharp_at_m": sharp_at if math.isfinite(sharp_at) else "inf"}
-    return (
-        {"focus_px": blur if beyond == (side == "far") else -blur}
-        | told
-        | lens_facts(image, lens, thin_lens)
     )
 
 

@@ -1,4 +1,4 @@
-"""The thin lens that terminal commands take from their options, and what they tell of it."""
+"""The thin lens that terminal commands take, what they tell of it, and its change of focus."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import napari_defocus
 from napari_defocus.cli.option_groups import OptionGroup
 from napari_defocus.core.checks import Side
 from napari_defocus.optics.exif import noted_lens
+from napari_defocus.settings import RefocusSettings
 
 if TYPE_CHECKING:
     from napari_defocus.optics.thin_lens import ThinLens
@@ -88,3 +89,44 @@ def side_line(facts: Mapping[str, Any]) -> str:
     """Say which side was assumed."""
     side = facts["side"]
     return f"side         {side}: all blur is assumed to lie {_SIDES[side]} the plane in focus"
+
+
+def check_change(
+    focus: float | None, sharp_at: float | None, aperture: float, thin_lens: LensOptions
+) -> None:
+    """Check what shall change, as far as that goes without the lens."""
+    if focus is not None and sharp_at is not None:
+        raise ValueError(f"focus is {focus} and sharp_at is {sharp_at}; one of them is enough")
+    if sharp_at is None:
+        for name, value in thin_lens.given.items():
+            if value is not None:
+                raise ValueError(f"{name} is {value}, but only sharp_at takes a lens")
+        if focus in (None, RefocusSettings.focus) and aperture == RefocusSettings.aperture:
+            raise ValueError("nothing would change; give --focus, --sharp-at or --aperture")
+    elif not sharp_at > 0:
+        raise ValueError(f"sharp_at is {sharp_at}; it takes a distance above 0 m")
+    RefocusSettings(focus=focus or 0.0, aperture=aperture)
+
+
+def focus_facts(
+    image: Path,
+    focus: float | None,
+    sharp_at: float | None,
+    side: Side,
+    thin_lens: LensOptions,
+) -> dict[str, Any]:
+    """Return the blur of what shall be sharp, and how it was found."""
+    if sharp_at is None:
+        return {"focus_px": RefocusSettings.focus if focus is None else focus}
+    lens = lens_of(image, thin_lens)
+    check_side(side, lens)
+    blur = float(napari_defocus.blur_from_depth(sharp_at, lens))
+    if not math.isfinite(blur):
+        raise ValueError(f"sharp_at is {sharp_at}; nothing so near can be made sharp")
+    beyond = sharp_at > lens.focus_distance_m
+    told = {"sharp_at_m": sharp_at if math.isfinite(sharp_at) else "inf"}
+    return (
+        {"focus_px": blur if beyond == (side == "far") else -blur}
+        | told
+        | lens_facts(image, lens, thin_lens)
+    )

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from napari.types import LayerDataTuple
-from napari.utils.transforms import CompositeAffine
 from numpy.typing import NDArray
 
 from napari_defocus.core.axes import known_axis
@@ -17,6 +16,7 @@ from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import as_dask
+from napari_defocus.widgets.layers.flat_placement import of_all_planes
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, check_pixels
 from napari_defocus.widgets.layers.result_metadata import (
     ALIGNMENT,
@@ -251,7 +251,7 @@ class FocusStacking:
             "notes": list(found.notes),
         }
         layer = result_layer(self.plane, result, values, settings, facts, **looks)
-        placed = _of_all_planes(self.plane.placement) if self._is_plain else None
+        placed = of_all_planes(self.plane.placement) if self._is_plain else None
         if placed is None:
             return layer
         _, keywords, kind = layer
@@ -292,23 +292,3 @@ def composite_of(
     from napari_defocus import composite_at
 
     return composite_at(position, stack.array, progress=progress, **settings)
-
-
-def _of_all_planes(placed: dict[str, Any]) -> dict[str, Any] | None:
-    """Return where a picture lies that is seen at all planes; None if planes are tilted."""
-    names = ("scale", "translate", "rotate", "shear")
-    in_layer = CompositeAffine(**{name: placed[name] for name in names}, ndim=3)
-    affine = np.asarray(placed["affine"], float)
-    for matrix in (in_layer.linear_matrix, affine[:3, :3]):
-        if matrix[0, 1:].any() or matrix[1:, 0].any():
-            return None
-    flat = in_layer.set_slice([1, 2])
-    return {
-        "scale": flat.scale,
-        "translate": flat.translate,
-        "rotate": flat.rotate,
-        "shear": flat.shear,
-        "affine": affine[1:, 1:],
-        "units": placed["units"][1:],
-        "axis_labels": placed["axis_labels"][1:],
-    }
