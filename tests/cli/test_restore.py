@@ -119,15 +119,16 @@ def test_picture_that_does_not_fit_its_map_is_told(folder, instant):
     assert "lens or map may not fit (variance 7e-05): less blur taken away" in result.stdout
 
 
-def test_what_is_left_as_it_was_is_told_and_written(folder, instant):
+@pytest.mark.parametrize("command", [["restore"], ["refocus", "--focus", 1]])
+def test_what_is_left_as_it_was_is_told_and_written(folder, instant, command):
     files = ["--left-as-it-was", folder / "left.tif", "-o", folder / "r.png"]
-    result = run("restore", folder / "p.png", *files)
+    result = run(*command, folder / "p.png", *files)
     assert result.exit_code == 0, result.output
     assert "left         25 % of the picture as it was: there would be rings" in result.stdout
     left = tifffile.imread(folder / "left.tif")
     np.testing.assert_array_equal(left, np.full((HEIGHT, WIDTH), 0.25))
     assert description_in_tiff(folder / "left.tif")["quantity"] == "share left as it was"
-    result = run("restore", folder / "p.png", "--left-as-it-was", folder / "left.jpg")
+    result = run(*command, folder / "p.png", "--left-as-it-was", folder / "left.jpg")
     assert result.exit_code == 2
     assert "its name must end in .png or .tif or .tiff" in result.stderr
 

@@ -108,8 +108,9 @@ def restore(
     settings, asked = measuring.settings(), restoring.settings()
     intensity_range = measuring.intensity_range
     lefts = [left_as_it_was] if left_as_it_was else []
-    check_endings([*outputs, *lefts], ".png", ".tif", ".tiff")
-    picture = files.read(image, [*outputs, *lefts], *measuring.files)
+    written = [*outputs, *lefts]
+    check_endings(written, ".png", ".tif", ".tiff")
+    picture = files.read(image, written, *measuring.files)
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
     if found.intensities is None:
@@ -119,7 +120,7 @@ def restore(
     )
     found = replace(found, noise_variance=fit.noise_variance)
     shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "unrestored": fit.unrestored}
-    facts = picture_facts(image, picture, [*outputs, *lefts], found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, written, found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
     contents = _encoded(outputs, sharp, picture, ALL_IN_FOCUS, made_with)
@@ -131,6 +132,7 @@ def restore(
 @command(
     _refocused_lines,
     _OUTPUTS.format("refocused")
+    + _LEFT
     + f"""
 focus PX
     Make sharp what is blurred by so many px, in the scale of --psf and the map. A negative number
@@ -161,6 +163,7 @@ def refocus(
     restoring: RestorationOptions,
     measuring: MapOrFileOptions,
     output: list[Path] | None = None,
+    left_as_it_was: Path | None = None,
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -174,8 +177,10 @@ def refocus(
     settings, asked = measuring.settings(), restoring.settings()
     intensity_range = measuring.intensity_range
     check_change(focus, sharp_at, aperture, thin_lens)
-    check_endings(outputs, ".png", ".tif", ".tiff")
-    picture = files.read(image, outputs, *measuring.files)
+    lefts = [left_as_it_was] if left_as_it_was else []
+    written = [*outputs, *lefts]
+    check_endings(written, ".png", ".tif", ".tiff")
+    picture = files.read(image, written, *measuring.files)
     change = focus_facts(image, focus, sharp_at, side, thin_lens)
     change |= {"aperture": aperture, "side": side, "encoding": encoding}
     first, second = _shares(progress)
@@ -200,9 +205,11 @@ def refocus(
         intensity_range=intensity_range,
         progress=within(second, _RESTORING_SHARE, 1.0),
     )
-    contents = _encoded(outputs, changed, picture, REFOCUSED, used(found, settings) | change)
+    made_with = used(found, settings) | change
+    contents = _encoded(outputs, changed, picture, REFOCUSED, made_with)
+    contents |= encoded_left(lefts, fit, made_with)
     files.write(contents, "refocus", map=settings, restoration=asked, refocus=view)
-    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, written, found, settings) | file_facts(found)
     return facts | map_facts(found) | change
 
 
