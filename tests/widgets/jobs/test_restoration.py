@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from napari.layers import Image
 
-from napari_defocus import Disc
+import napari_defocus
+from napari_defocus import Disc, RestorationFit
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.jobs.analysis import Analysis
@@ -83,6 +84,16 @@ def test_what_is_left_as_it_was_is_a_veil_over_the_picture_if_asked_for(
     assert veil.colormap.map(np.array([0.0, 1.0]))[:, 3] == pytest.approx([0.0, 0.6], abs=0.01)
     np.testing.assert_allclose(veil.data_to_world((3, 4)), leaf.data_to_world((3, 4)))
     assert "12% of the picture was left as it was" in results.summary
+
+
+def test_a_veil_over_nothing_is_said_to_be_one(viewer, leaf, method, monkeypatch):
+    fit = RestorationFit(1e-5, 2e-3, 0.0, np.zeros(leaf.data.shape, np.float32))
+    sharp = np.full(leaf.data.shape, 0.25, np.float32)
+    monkeypatch.setitem(vars(napari_defocus), "restore_all_in_focus", lambda *_, **__: (sharp, fit))
+    said = "Less than 1% of the picture was left as it was."
+    for asked in (True, False):
+        results = replace(restoration(viewer, leaf), show_left=asked).run(JobCache())
+        assert (said in results.summary) == asked
 
 
 def test_what_the_blur_map_widget_has_estimated_is_used(viewer, leaf, method):

@@ -118,6 +118,8 @@ class Restoration:
             lines.append(_MISFIT)
         if made.fit.unrestored >= _LEAST_UNRESTORED:
             lines.append(_UNRESTORED.format(percent=100 * made.fit.unrestored))
+        elif self.show_left:
+            lines.append("Less than 1% of the picture was left as it was.")
         confidence = made.blur_map.confidence
         if confidence is not None:
             lines.append(confidence_description((confidence >= CONFIDENT).mean()))
