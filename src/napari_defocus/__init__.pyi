@@ -145,6 +145,9 @@ from .psf.families import (
 from .psf.measured import (
     MeasuredPSF as MeasuredPSF,
 )
+from .psf.microscope import (
+    Microscope as Microscope,
+)
 from .psf.parsing import (
     psf_from_text as psf_from_text,
 )

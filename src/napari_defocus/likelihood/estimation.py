@@ -43,7 +43,7 @@ from napari_defocus.likelihood.scale_space import (
 from napari_defocus.likelihood.sharp_details import SharpDetails
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
 from napari_defocus.likelihood.signs import signs_of
-from napari_defocus.psf.domain import limited, seen_with_pixels
+from napari_defocus.psf.domain import limited, seen_with_pixels, softness_beside
 from napari_defocus.psf.families import PSFFamily, as_family
 from napari_defocus.settings import MapSettings
 
@@ -333,7 +333,7 @@ def _table(shape: tuple[int, int], how: Estimation) -> SpectrumTable:
     grid = AnalysisGrid.over(shape, how.window, how.stride)
     fractions = grid.rows[0] % 1, grid.columns[0] % 1
     mixed = how.mode != "paper"
-    softness = how.camera_softness if mixed else 0.0
+    softness = softness_beside(how.psf, how.camera_softness) if mixed else 0.0
     return spectrum_table(how.psf, how.window, *fractions, how.spectra, mixed, softness)
 
 

@@ -25,6 +25,7 @@ from napari_defocus.likelihood.gabor import gradients, local_power
 from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
+from napari_defocus.psf.domain import softness_beside
 from napari_defocus.psf.families import Gaussian, PSFFamily
 
 Float32 = NDArray[np.float32]
@@ -137,6 +138,7 @@ def softnesses(psf: PSFFamily, camera_softness: float) -> tuple[float, ...]:
 
     A Gaussian behind a Gaussian is one: of that family, the radius says it all.
     """
+    camera_softness = softness_beside(psf, camera_softness)
     if isinstance(psf, Gaussian):
         return (camera_softness,)
     return (camera_softness, *(each for each in SOFTER if each > camera_softness))
