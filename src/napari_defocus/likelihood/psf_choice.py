@@ -17,7 +17,10 @@ from napari_defocus.likelihood.window_evidence import (
     Windows,
     family_fit,
 )
-from napari_defocus.psf.families import Annulus, Disc, Gaussian, PSFFamily
+from napari_defocus.psf.families import Annulus, AutomaticPSF, Disc, Gaussian, PSFFamily
+from napari_defocus.psf import AUTO
+from napari_defocus.psf.domain import limited
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.psf.parsing import psf_text
 
 _OTHERS = (Gaussian(), Annulus(0.3), Annulus(0.5))
@@ -28,6 +31,10 @@ well with discs.
 _LIMIT = 1.5
 """Units of log-likelihood, in the mean of windows, by which a family must be better than the disc.
 On simulations and photographs (docs/decisions.md)."""
+
+_SPECIMEN_LIMIT = 0.5
+"""Units of log-likelihood, in the mean of windows, by which points or texture must be better to
+count as found. On simulated beads and tissue (docs/decisions.md)."""
 
 _WIDEST, _NARROWEST = 0.875, 1.5
 """Windows vote if their likeliest radius is between 1.5 px and 7 of 8 px: all families are alike
@@ -83,29 +90,29 @@ class PSFChoice:
         }
 
 
+def is_to_choose(psf: PSFFamily) -> bool:
+    """Return whether a family leaves something for `choose_psf` to find."""
+    return isinstance(psf, AutomaticPSF) or (isinstance(psf, Microscope) and psf.specimen == AUTO)
+
+
 def choose_psf(
     pictures: Sequence[PreparedImage],
+    psf: PSFFamily,
     *,
     noise: float | ShotNoise | None,
-    max_radius: float,
     window: int,
     camera_softness: float,
 ) -> PSFChoice:
-    """Choose the family that made pictures: disc, Gaussian, ring of obstruction 0.3 or 0.5.
-
-    Textured windows with a blur from 1.5 px to 7/8 of the domain vote. If they are a third of the
-    textured ones, 30 at least, and one family is better than the disc by 1.5 in the mean
-    log-likelihood of a window, it is taken; else the disc stays.
+    """Choose what a family leaves open: `choose_family` or `choose_specimen`.
 
     Parameters
     ----------
     pictures : sequence of PreparedImage
         Samples that one lens made.
+    psf : PSFFamily
+        One that `is_to_choose`. Up to 8 px of its domain are looked at, with windows of 41 px.
     noise : float, ShotNoise or None
         As `estimate_candidates` takes it.
-    max_radius : float
-        Largest blur radius of the chosen family, in px. Up to 8 px are looked at, with
-        windows of 41 px.
     window : int
         Side N of the analysis window, in px.
     camera_softness : float
@@ -115,7 +122,43 @@ def choose_psf(
         Windows.of(picture, noise, window, _stride(picture, window, len(pictures)))
         for picture in pictures
     ]
-    largest = min(max_radius, domain_of_window(window))
+    if isinstance(psf, Microscope):
+        return choose_specimen(samples, psf, camera_softness)
+    return choose_family(samples, psf.max_scale, camera_softness)
+
+
+def choose_specimen(
+    samples: Sequence[Windows], lens: Microscope, camera_softness: float
+) -> PSFChoice:
+    """Choose whether a microscope shows texture or points.
+
+    The textured windows are asked. What explains them better is taken, and it counts as found
+    from half a unit of log-likelihood in the mean of windows on.
+    """
+    largest = domain_of_window(samples[0].window)
+    both = [replace(lens, specimen=each) for each in ("texture", "points")]
+    texture, points = (family_fit(samples, limited(each, largest), camera_softness) for each in both)
+    textured = np.maximum(texture.depth, points.depth) > _TEXTURED
+    if not textured.any():
+        return PSFChoice(both[0], found=False, margin=0.0, windows=0)
+    gain = np.clip(points.evidence - texture.evidence, -LARGEST_LOSS, LARGEST_LOSS)
+    margin = float(gain[textured].mean())
+    chosen = both[int(margin > 0)]
+    return PSFChoice(chosen, abs(margin) > _SPECIMEN_LIMIT, abs(margin), int(textured.sum()))
+
+
+def choose_family(
+    samples: Sequence[Windows], max_radius: float, camera_softness: float
+) -> PSFChoice:
+    """Choose the family that made pictures: disc, Gaussian, ring of obstruction 0.3 or 0.5.
+
+    Textured windows with a blur from 1.5 px to 7/8 of the domain vote. If they are a third of the
+    textured ones, 30 at least, and one family is better than the disc by 1.5 in the mean
+    log-likelihood of a window, it is taken; else the disc stays.
+
+    `max_radius` is the largest blur radius of the chosen family, in px.
+    """
+    largest = min(max_radius, domain_of_window(samples[0].window))
     families = [replace(psf, max_radius=largest) for psf in (Disc(), *_OTHERS)]
     fits = [family_fit(samples, psf, camera_softness) for psf in families]
     evidence = np.array([fit.evidence for fit in fits])

@@ -25,7 +25,7 @@ from napari_defocus.likelihood.gabor import gradients, local_power
 from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
-from napari_defocus.psf.domain import softness_beside
+from napari_defocus.psf.domain import growth_of_details, softness_beside
 from napari_defocus.psf.families import Gaussian, PSFFamily
 
 Float32 = NDArray[np.float32]
@@ -167,5 +167,6 @@ def _tables(
     kernels = [psf.kernel(float(scale)) for scale in scales]
     filters = FilterPower.of_window(window, *fractions, max(len(kernel) for kernel in kernels))
     noise = FilterPower.of_window(window, *fractions, largest=2).noise_spectra()
-    blurs = (filters.blur_spectra(kernels, softness) for softness in softnesses)
+    growth = growth_of_details(psf)
+    blurs = (filters.blur_spectra(kernels, softness, growth) for softness in softnesses)
     return [SpectrumTable(scales, blur, 0 * blur, 0 * blur, noise) for blur in blurs]

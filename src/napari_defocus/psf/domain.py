@@ -59,6 +59,14 @@ def softness_beside(psf: PSFFamily, softness: float) -> float:
     return softness
 
 
+def growth_of_details(psf: PSFFamily) -> float:
+    """Return with which power of the frequency the gradients of what a lens sees grow.
+
+    Those of edges do not, and those of points grow as the frequency does, in amplitude.
+    """
+    return 1.0 if isinstance(psf, Microscope) and psf.specimen == "points" else 0.0
+
+
 @dataclass(frozen=True)
 class Limited:
     """A family of any kind with a smaller domain.

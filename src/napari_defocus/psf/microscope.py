@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from napari_defocus.psf.pixel_areas import corners_to, disc_area, from_quadrant
 Float64 = NDArray[np.floating]
 
 _Number = TypeVar("_Number", float, NDArray[np.floating])
+
+Specimen = Literal["auto", "texture", "points"]
+"""What may lie before a microscope."""
 
 IMMERSIONS = {"air": 1.0, "water": 1.333, "glycerol": 1.47, "oil": 1.515}
 """Refractive indices of what usually lies between the objective and the specimen."""
@@ -78,6 +81,10 @@ class Microscope:
     refractive_index : float
         n between objective and specimen: 1 for air, 1.333 for water, 1.515 for oil. The
         specimen is taken to have the same index.
+    specimen : {"auto", "texture", "points"}
+        What the picture shows in focus: things with edges, as tissue and nuclei, or points, as
+        beads and vesicles. Points have more fine details, and look sharper than they are if they
+        are taken for texture. "auto" lets the picture choose, when its candidates are estimated.
     max_radius : float
         Largest blur radius that is looked for, in px.
 
@@ -112,6 +119,7 @@ class Microscope:
     wavelength_um: float
     pixel_size_um: float
     refractive_index: float = 1.0
+    specimen: Specimen = "auto"
     max_radius: float = MAX_RADIUS
     scale_name: ClassVar[str] = BLUR_RADIUS
 
@@ -128,6 +136,10 @@ class Microscope:
             f"a number above 0 and below the refractive index, {self.refractive_index:g} here "
             "(air 1, water 1.333, oil 1.515)",
         )
+        if self.specimen not in get_args(Specimen):
+            raise ValueError(
+                f"specimen is {self.specimen!r}; it takes one of {get_args(Specimen)}"
+            )
         check_largest("max_radius", self.max_radius)
 
     @property
@@ -175,13 +187,8 @@ class Microscope:
 
     def with_wider_pixels(self, side: int, largest: float) -> Microscope:
         """Return the same with pixels that are means of `side` x `side` px, up to a scale."""
-        return Microscope(
-            self.numerical_aperture,
-            self.wavelength_um,
-            self.pixel_size_um * side,
-            self.refractive_index,
-            min(self.max_radius / side, largest),
-        )
+        pixel_size, radius = self.pixel_size_um * side, min(self.max_radius / side, largest)
+        return replace(self, pixel_size_um=pixel_size, max_radius=radius)
 
     def kernel(self, scale: float) -> NDArray[np.float64]:
         """Return the PSF whose geometric spot has a blur radius (px), integrated over pixels."""
