@@ -26,7 +26,7 @@ from scipy.fft import fftfreq, ifft2, irfft2, rfft2
 from napari_defocus import Disc, Microscope, estimate_blur_map
 from napari_defocus.psf.microscope import IMMERSIONS
 
-SIDE, FINE = 256, 4
+SIDE, FINE = 336, 4
 WAVELENGTH = 0.52
 OBJECTIVES = {
     "10x 0.3 air": Microscope(0.3, WAVELENGTH, 0.645),
@@ -39,7 +39,7 @@ KINDS = ("shining beads", "dark beads", "tissue")
 BEADS_UM = {0.3: 1.0, 0.5: 0.5}
 USUAL_BEAD_UM = 0.2
 LEAST_UM, RELATIVE = 0.15, 0.1
-PHOTONS_OF_BEAD, BACKGROUND, PHOTONS_OF_LIGHT, READ_NOISE, OFFSET = 20_000, 10, 8_000, 2.0, 100
+PHOTONS_OF_BEAD, BACKGROUND, PHOTONS_OF_LIGHT, READ_NOISE, OFFSET = 20_000, 10, 30_000, 2.0, 100
 
 Array = NDArray[np.floating]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,14 +11,10 @@ import numpy as np
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.likelihood.exact_spectra import domain_of_window
 from napari_defocus.likelihood.shot_noise import ShotNoise
-from napari_defocus.likelihood.window_evidence import (
-    LARGEST_LOSS,
-    Windows,
-    family_fit,
-)
+from napari_defocus.likelihood.specimen_choice import specimen_margin
+from napari_defocus.likelihood.window_evidence import LARGEST_LOSS, Windows, family_fit, spacing
 from napari_defocus.psf.families import Annulus, AutomaticPSF, Disc, Gaussian, PSFFamily
 from napari_defocus.psf import AUTO
-from napari_defocus.psf.domain import limited
 from napari_defocus.psf.microscope import Microscope
 from napari_defocus.psf.parsing import psf_text
 
@@ -32,9 +27,9 @@ _LIMIT = 1.5
 """Units of log-likelihood, in the mean of windows, by which a family must be better than the disc.
 On simulations and photographs (docs/decisions.md)."""
 
-_SPECIMEN_LIMIT = 0.5
-"""Units of log-likelihood, in the mean of windows, by which points or texture must be better to
-count as found. On simulated beads and tissue (docs/decisions.md)."""
+_SPECIMEN_LIMIT = 2.0
+"""Units by which points or texture must be better to count as found: on simulated beads and tissue
+2.5 to 10, and below it where noise hides nearly everything (docs/decisions.md)."""
 
 _WIDEST, _NARROWEST = 0.875, 1.5
 """Windows vote if their likeliest radius is between 1.5 px and 7 of 8 px: all families are alike
@@ -47,9 +42,6 @@ one: flat places have less. By hand."""
 _LEAST_SHARE, _LEAST_WINDOWS = 1 / 3, 30
 """Of textured windows, so many have to vote, and so many of all: the few blurred places of a sharp
 picture are mostly lone edges, which fit rings. On simulations and photographs (decisions.md)."""
-
-_MOST_WINDOWS, _CLOSEST = 900, 4
-"""About how many windows are looked at, and the part of their side that they are apart at least."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +95,7 @@ def choose_psf(
     window: int,
     camera_softness: float,
 ) -> PSFChoice:
-    """Choose what a family leaves open: `choose_family` or `choose_specimen`.
+    """Choose what a family leaves open: see `choose_family` and `specimen_margin`.
 
     Parameters
     ----------
@@ -118,33 +110,15 @@ def choose_psf(
     camera_softness : float
         px, see `napari_defocus.compare_psf`.
     """
+    if isinstance(psf, Microscope):
+        margin, windows = specimen_margin(pictures, psf, noise, window, camera_softness)
+        chosen = replace(psf, specimen="points" if margin > 0 else "texture")
+        return PSFChoice(chosen, abs(margin) > _SPECIMEN_LIMIT, abs(margin), windows)
     samples = [
-        Windows.of(picture, noise, window, _stride(picture, window, len(pictures)))
+        Windows.of(picture, noise, window, spacing(picture, window, len(pictures)))
         for picture in pictures
     ]
-    if isinstance(psf, Microscope):
-        return choose_specimen(samples, psf, camera_softness)
     return choose_family(samples, psf.max_scale, camera_softness)
-
-
-def choose_specimen(
-    samples: Sequence[Windows], lens: Microscope, camera_softness: float
-) -> PSFChoice:
-    """Choose whether a microscope shows texture or points.
-
-    The textured windows are asked. What explains them better is taken, and it counts as found
-    from half a unit of log-likelihood in the mean of windows on.
-    """
-    largest = domain_of_window(samples[0].window)
-    both = [replace(lens, specimen=each) for each in ("texture", "points")]
-    texture, points = (family_fit(samples, limited(each, largest), camera_softness) for each in both)
-    textured = np.maximum(texture.depth, points.depth) > _TEXTURED
-    if not textured.any():
-        return PSFChoice(both[0], found=False, margin=0.0, windows=0)
-    gain = np.clip(points.evidence - texture.evidence, -LARGEST_LOSS, LARGEST_LOSS)
-    margin = float(gain[textured].mean())
-    chosen = both[int(margin > 0)]
-    return PSFChoice(chosen, abs(margin) > _SPECIMEN_LIMIT, abs(margin), int(textured.sum()))
 
 
 def choose_family(
@@ -177,8 +151,3 @@ def choose_family(
         chosen = replace(_OTHERS[other - 1], max_radius=max_radius)
         return PSFChoice(chosen, found=True, margin=margin, windows=count)
     return PSFChoice(disc, found=-margin > _LIMIT, margin=-margin, windows=count)
-
-
-def _stride(picture: PreparedImage, window: int, count: int) -> int:
-    area = picture.shape[0] * picture.shape[1]
-    return max(window // _CLOSEST, round(math.sqrt(count * area / _MOST_WINDOWS)))
