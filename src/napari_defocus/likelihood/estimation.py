@@ -22,7 +22,7 @@ from napari_defocus.core.intensity import Intensities, IntensityRange
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.progress import within as within_share
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
-from napari_defocus.likelihood.averaged_pixels import halved_without
+from napari_defocus.likelihood.averaged_pixels import halved_without, level_count
 from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, spectrum_table
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window, within_window
@@ -37,7 +37,6 @@ from napari_defocus.likelihood.scale_space import (
     Level,
     joined,
     joined_scales,
-    level_count,
     strongest,
 )
 from napari_defocus.likelihood.sharp_details import SharpDetails

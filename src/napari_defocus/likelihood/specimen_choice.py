@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from napari_defocus.core.image import PreparedImage
-from napari_defocus.likelihood.averaged_pixels import halved_without
+from napari_defocus.likelihood.averaged_pixels import halved_without, level_count
 from napari_defocus.likelihood.exact_spectra import domain_of_window
-from napari_defocus.likelihood.scale_space import level_count
 from napari_defocus.likelihood.shot_noise import ShotNoise, noise_of
 from napari_defocus.likelihood.window_evidence import LARGEST_LOSS, Windows, family_fit, spacing
 from napari_defocus.psf import SPECIMENS
