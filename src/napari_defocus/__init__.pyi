@@ -43,6 +43,9 @@ from .forward.occlusion import (
 from .forward.simulation import (
     simulate_defocus as simulate_defocus,
 )
+from .io.microscope_metadata import (
+    read_microscope as read_microscope,
+)
 from .io.pictures import (
     UnreadablePicture as UnreadablePicture,
 )

@@ -100,7 +100,7 @@ def restore(
     from napari_defocus.io.provenance import ALL_IN_FOCUS
 
     outputs = output or beside(image, "-in-focus.png")
-    settings, asked = measuring.settings(), restoring.settings()
+    settings, asked = measuring.settings(image), restoring.settings()
     intensity_range = measuring.intensity_range
     check_endings(outputs, ".png", ".tif", ".tiff")
     picture = files.read(image, outputs, *measuring.files)
@@ -164,7 +164,7 @@ def refocus(
     from napari_defocus.io.provenance import REFOCUSED
 
     outputs = output or beside(image, "-refocused.png")
-    settings, asked = measuring.settings(), restoring.settings()
+    settings, asked = measuring.settings(image), restoring.settings()
     intensity_range = measuring.intensity_range
     _check_change(focus, sharp_at, aperture, thin_lens)
     check_endings(outputs, ".png", ".tif", ".tiff")

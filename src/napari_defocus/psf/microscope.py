@@ -108,11 +108,11 @@ class Microscope:
     --------
     >>> lens = Microscope(0.8, wavelength_um=0.52, pixel_size_um=0.1)
     >>> round(lens.airy_radius, 2), round(lens.depth_of_field_um, 2)
-    (3.97, 0.81)
+    (3.96, 0.81)
     >>> round(lens.blur_radius(2.0), 2), round(lens.defocus_um(23.09), 2)
     (23.09, 2.0)
-    >>> lens.kernel(0.0)[20, 20:24].round(3)
-    array([0.18 , 0.07 , 0.008, 0.003])
+    >>> lens.kernel(0.0)[32, 32:37].round(3)
+    array([0.06 , 0.049, 0.025, 0.007, 0.001])
     """
 
     numerical_aperture: float
