@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 
 import napari_defocus
 from napari_defocus.batch.folder import Facts, read_note, write_note
-from napari_defocus.batch.table import DONE, FAILED, PixelCounts, Row, count_pixels
+from napari_defocus.batch.table import (
+    DONE,
+    FAILED,
+    PixelCounts,
+    Row,
+    count_pixels,
+    defocus_facts,
+)
 from napari_defocus.core.intensity import Limits
 from napari_defocus.core.picture_remarks import picture_remarks
 from napari_defocus.core.progress import silent
@@ -307,7 +314,7 @@ def _facts(
     threshold, noise = threshold_in_px(shaping), found.noise_variance
     counts = plan.counts(found.blur_map, found.confidence, mask, threshold)
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
-    facts |= {"threshold_px": threshold}
+    facts |= {"threshold_px": threshold} | defocus_facts(facts, found.psf)
     return facts | ({} if found.intensities is None else found.intensities.facts())
 
 

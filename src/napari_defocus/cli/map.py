@@ -66,9 +66,7 @@ def map_picture(
     return facts
 
 
-def _in_um(
-    image: Path, output: list[Path] | None, defocus: Path | None, psf: str
-) -> list[Path]:
+def _in_um(image: Path, output: list[Path] | None, defocus: Path | None, psf: str) -> list[Path]:
     """Return where the defocus in um is written: nowhere for a lens that is no microscope."""
     if psf.split(":")[0] != MICROSCOPE:
         if defocus is not None:

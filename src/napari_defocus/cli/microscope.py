@@ -123,12 +123,13 @@ def defocus_lines(facts: Mapping[str, Any]) -> list[str]:
     low, median, high = (facts[f"defocus_{name}_um"] for name in ("p5", "median", "p95"))
     half = facts["depth_of_field_um"] / 2
     lines = [
-        f"defocus      median {median:.3g} um, 5 to 95 % of the picture: {low:.3g} to {high:.3g} um",
+        f"defocus      median {median:.3g} um, "
+        f"5 to 95 % of the picture: {low:.3g} to {high:.3g} um",
         "             above or below the focus: one picture cannot tell",
     ]
     if low < half:
         lines.append(
-            f"careful      less than {half:.2g} um looks in focus (half the depth of field): there, "
-            "um are rough"
+            f"careful      less than {half:.2g} um, half the depth of field, looks in focus: "
+            "there, um are rough"
         )
     return lines

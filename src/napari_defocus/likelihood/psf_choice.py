@@ -13,8 +13,8 @@ from napari_defocus.likelihood.exact_spectra import domain_of_window
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.likelihood.specimen_choice import specimen_margin
 from napari_defocus.likelihood.window_evidence import LARGEST_LOSS, Windows, family_fit, spacing
-from napari_defocus.psf.families import Annulus, AutomaticPSF, Disc, Gaussian, PSFFamily
 from napari_defocus.psf import AUTO
+from napari_defocus.psf.families import Annulus, AutomaticPSF, Disc, Gaussian, PSFFamily
 from napari_defocus.psf.microscope import Microscope
 from napari_defocus.psf.parsing import psf_text
 

@@ -1,4 +1,4 @@
-"""Whether a microscope's picture shows points or things with edges: the fine details that it has."""
+"""Whether a microscope's picture shows points or things with edges, by its fine details."""
 
 from __future__ import annotations
 

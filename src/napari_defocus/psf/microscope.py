@@ -1,4 +1,4 @@
-"""The PSF of a microscope, by diffraction: its scale is a blur radius in px, and a defocus in um."""
+"""The PSF of a microscope by diffraction: from a blur radius in px to a defocus in um."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ IMMERSIONS = {"air": 1.0, "water": 1.333, "glycerol": 1.47, "oil": 1.515}
 """Refractive indices of what usually lies between the objective and the specimen."""
 
 _TAIL = 5.0
-"""How far kernels reach beyond the geometric spot, in units of wavelength / NA. In focus, 2 % of the
-light lies farther out. Chosen by hand (docs/decisions.md)."""
+"""How far kernels reach beyond the geometric spot, in units of wavelength / NA. In focus, 2 % of
+the light lies farther out. Chosen by hand."""
 
 _TAPER = 0.25
 """The outer part of a kernel's reach in which it fades out, so that it changes continuously with
 the scale. By hand."""
 
 _RINGS = 16
-"""Samples of the profile in wavelength / NA; the Airy disc's first zero is at the tenth. By hand."""
+"""Samples of the profile in wavelength / NA: ten up to the first zero of the Airy disc. By hand."""
 
 _REACH_STEP = 1.25
 """Kernels whose reach differs by less than this factor share their Bessel functions. By hand."""
@@ -137,9 +137,7 @@ class Microscope:
             "(air 1, water 1.333, oil 1.515)",
         )
         if self.specimen not in get_args(Specimen):
-            raise ValueError(
-                f"specimen is {self.specimen!r}; it takes one of {get_args(Specimen)}"
-            )
+            raise ValueError(f"specimen is {self.specimen!r}; it takes one of {get_args(Specimen)}")
         check_largest("max_radius", self.max_radius)
 
     @property

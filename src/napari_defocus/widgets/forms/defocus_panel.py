@@ -130,6 +130,7 @@ class DefocusPanel(ImagePanel):
         ]
 
     def _wire(self) -> None:
+        self.settings.lens.microscope.attach(self.image)
         self.settings.lens.show_needed()
         self.settings.show_more(False)
         self.comparison.forget()

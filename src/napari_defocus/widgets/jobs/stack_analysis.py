@@ -24,6 +24,7 @@ from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
+    DEFOCUS,
     METADATA_KEY,
     PLANES,
     Results,
@@ -280,6 +281,8 @@ class _Found:
         only = tuple(0 if isinstance(n, int) else slice(None) for n in plane.index)
         for data, keywords, kind in layers:
             made = keywords["metadata"][METADATA_KEY]
+            if made["result"] == DEFOCUS:
+                continue  # the map's values, in another unit
             self.values[made["result"]][at] = data[only]
             self.looks[made["result"]] = keywords, kind
             self.noise_variances[position] = made["noise_variance"]

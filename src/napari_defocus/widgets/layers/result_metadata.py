@@ -27,6 +27,7 @@ RUN = "run"
 """Which run has made a result, in its metadata: the larger the number, the newer."""
 
 BLUR_MAP = "blur map"
+DEFOCUS = "defocus"
 CONFIDENCE = "confidence"
 NOT_TRUSTED = "not trusted"
 IN_FOCUS = "in focus"
