@@ -10,8 +10,8 @@ They shine on a dark ground, or swallow light in bright field. Tissue is a stain
 field: leaves of all sizes, from 0.4 Airy radii up, that cover each other (dead leaves).
 
 Prints a Markdown table: the median of the map over the field in um for every true defocus, its
-error in um and in %, and the share of pixels within 0.15 um or 10 %; ** where the median is not. Then
-the share of pixels with a confidence of 0.5 or more, and what the simplest thing makes of the same
+error in um and in %, and the share of pixels within 0.15 um or 10 % (** where the median is not).
+Then the share of pixels with a confidence of 0.5 or more, and what the simplest thing makes of the same
 picture: discs, and z = r sqrt(n^2 - NA^2) / NA.
 """
 

@@ -30,12 +30,16 @@ _TAIL = 5.0
 """How far kernels reach beyond the geometric spot, in units of wavelength / NA. In focus, 2 % of
 the light lies farther out. Chosen by hand."""
 
+_LONGEST_TAIL = 64.0
+"""px: kernels reach no farther beyond the spot, if the Airy disc is wider than windows. By hand."""
+
 _TAPER = 0.25
 """The outer part of a kernel's reach in which it fades out, so that it changes continuously with
 the scale. By hand."""
 
-_RINGS = 16
-"""Samples of the profile in wavelength / NA: ten up to the first zero of the Airy disc. By hand."""
+_RINGS, _WIDEST_RING = 16, 0.5
+"""Samples of the profile in wavelength / NA: ten up to the first zero of the Airy disc; and how wide
+the ring of a sample may be, in px. By hand."""
 
 _REACH_STEP = 1.25
 """Kernels whose reach differs by less than this factor share their Bessel functions. By hand."""
@@ -210,8 +214,8 @@ class Microscope:
         """Return how far from its middle, in px, the kernel of a defocus in um is kept."""
         sine = self.numerical_aperture / self.refractive_index
         spot = defocus * sine / math.sqrt(1 - sine**2)
-        tail = _TAIL * self.wavelength_um / self.numerical_aperture
-        return max((spot + tail) / self.pixel_size_um, 1.0)
+        tail = _TAIL * self.wavelength_um / self.numerical_aperture / self.pixel_size_um
+        return max(spot / self.pixel_size_um + min(tail, _LONGEST_TAIL), 1.0)
 
 
 class _Spot(NamedTuple):
@@ -245,8 +249,8 @@ class _Spot(NamedTuple):
         """Tabulate what kernels need that reach up to 1.25^steps px."""
         reach = _REACH_STEP**steps
         k, alpha = 2 * math.pi / wavelength, math.asin(aperture / index)
-        edges = np.arange(math.ceil(reach * pixel * aperture / wavelength * _RINGS) + 1)
-        edges = edges * wavelength / (aperture * pixel * _RINGS)
+        ring = min(wavelength / (aperture * pixel * _RINGS), _WIDEST_RING)
+        edges = ring * np.arange(math.ceil(reach / ring) + 1)
         middles = (edges[1:] + edges[:-1]) / 2
         # As many nodes as the phases of the farthest ring and of the largest defocus ask for.
         turns = k * (aperture + index * (1 - math.cos(alpha)) / math.tan(alpha)) * reach * pixel

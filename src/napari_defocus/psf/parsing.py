@@ -50,7 +50,8 @@ def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
     text : str
         "auto" (the picture chooses), "disc", "gaussian", "generalized-gaussian:1.5", "polygon:6",
         "polygon:6:15" (rotation in degrees), "annulus:0.5", "microscope:1.3:0.52:0.1:1.515:points"
-        (NA, wavelength and pixel size in um, refractive index, specimen), or the path of a .npz file that `MeasuredPSF.save` wrote.
+        (NA, wavelength and pixel size in um, refractive index, specimen), or the path of a .npz
+        file that `MeasuredPSF.save` wrote.
         Parameters that are left out have the family's defaults.
     max_scale : float, optional
         Largest scale that is looked for, in px; by default the family's own.

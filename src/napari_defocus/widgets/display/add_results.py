@@ -22,6 +22,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     DEFOCUS,
     DEPTH,
     FOCUS_CONFIDENCE,
+    HEIGHT,
     IN_FOCUS,
     METADATA_KEY,
     PLACEMENT,
@@ -35,7 +36,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     run_of,
 )
 
-_WITH_COLOR_BAR = (BLUR_MAP, DEFOCUS, CONFIDENCE, DEPTH, BEST_FOCUS, FOCUS_CONFIDENCE)
+_WITH_COLOR_BAR = (BLUR_MAP, DEFOCUS, CONFIDENCE, DEPTH, BEST_FOCUS, HEIGHT, FOCUS_CONFIDENCE)
 
 OUTLINE = 2
 """How wide the outline of a mask is inside of it, in px; a wider one takes napari long to draw."""

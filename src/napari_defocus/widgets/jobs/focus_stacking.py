@@ -14,6 +14,7 @@ from napari_defocus.core.axes import known_axis
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
+from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import as_dask
@@ -21,6 +22,7 @@ from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_metadata import (
     AT,
     BEST_FOCUS,
+    HEIGHT,
     FOCUS_CONFIDENCE,
     METADATA_KEY,
     SHARPEST,
@@ -213,8 +215,25 @@ class FocusStacking:
                 name="best focus (plane)",
                 **(position | hidden),
             ),
+            *self._height_layer(found),
             self._layer(found, FOCUS_CONFIDENCE, found.confidence, **(sure | hidden)),
         ]
+
+    @property
+    def z_step_um(self) -> float | None:
+        """How far planes are apart in um, if the layer's scale and units say it."""
+        unit = MICROMETERS.get(str(self.plane.placement["units"][self.axis]))
+        return None if unit is None else unit * float(self.plane.placement["scale"][self.axis])
+
+    def _height_layer(self, found: SharpestPlane) -> list[LayerDataTuple]:
+        """Return the positions as heights above the first plane in um, if the step is known."""
+        step = self.z_step_um
+        if step is None:
+            return []
+        ends = tuple(sorted((0.0, step * (self.count - 1))))
+        looks = {"colormap": COLOR_MAP, "contrast_limits": ends, "visible": False}
+        heights = found.height_um(step)
+        return [self._layer(found, HEIGHT, heights, name="height of best focus (µm)", **looks)]
 
     def _layer_of_pixels(self, found: SharpestPlane, composite: NDArray[Any]) -> LayerDataTuple:
         rgb = composite.ndim == 3

@@ -39,6 +39,7 @@ DEPTH_SURFACE = "depth surface"
 RELIEF = "relief"
 SHARPEST = "sharpest pixels"
 BEST_FOCUS = "best focus"
+HEIGHT = "height"
 FOCUS_CONFIDENCE = "best focus confidence"
 
 OUTSIDE = (
