@@ -121,3 +121,8 @@ def test_napari_shows_um(tissue):
     viewer.cursor.position = SIDE // 2, SIDE // 2
     assert " px = 0." in text_under_cursor(viewer) and "µm" in text_under_cursor(viewer)
     assert "Defocus 0." in summary_of(results, None, Picture.of(plane))
+
+
+def test_another_pixel_size_than_the_file_notes_is_told(micrograph):
+    told = run("map", micrograph, *TYPED, "--pixel-size", 0.325, "-o", micrograph.with_name("m.tif"))
+    assert "careful      The picture notes pixels of 0.1625 um" in told.output

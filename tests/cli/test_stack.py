@@ -369,7 +369,9 @@ def test_no_picture_of_a_stack_is_overwritten(tmp_path, small):
 
 
 def test_heights_are_in_um_with_the_z_step_of_the_file_or_a_typed_one(stack, tmp_path, planes):
-    assert_fails_in_one_line(run("sharpest", stack, "--height", tmp_path / "h.tif"), saying="--z-step")
+    assert_fails_in_one_line(
+        run("sharpest", stack, "--height", tmp_path / "h.tif"), saying="--z-step"
+    )
     outputs = ["-o", tmp_path / "a.tif", "--position", tmp_path / "p.tif"]
     typed = run("sharpest", stack, "--height", tmp_path / "h.tif", "--z-step", 1.5, *outputs)
     assert "planes 1.5 um apart" in typed.output

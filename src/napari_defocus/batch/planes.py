@@ -52,6 +52,7 @@ from napari_defocus.pipeline import (
     threshold_of_stack,
     used,
 )
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.restoration.all_in_focus import Restoration
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
@@ -247,7 +248,7 @@ def measure_plane(task: PlaneTask) -> Row:
         made = _made_of(found, picture, task, shaping)
         _write(task, made, found, picture)
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan, shaping)
-        row |= task.results | {"careful": _remarks(picture, found)}
+        row |= task.results | {"careful": _remarks(picture, found, row)}
         write_note(task.row_path, row)
     except Exception as error:
         return failed(task.known, reason(error))
@@ -318,10 +319,12 @@ def _facts(
     return facts | ({} if found.intensities is None else found.intensities.facts())
 
 
-def _remarks(picture: NDArray[Any], found: Measurement) -> str | None:
+def _remarks(picture: NDArray[Any], found: Measurement, row: Row) -> str | None:
     """Return why a plane tells little of its blur, in sentences; None if nothing says so."""
     assert found.candidates is not None
     remarks = [*picture_remarks(picture, found.candidates.window), found.doubt]
+    if isinstance(found.psf, Microscope):
+        remarks.append(found.psf.remark_on_pixels(row.get("pixel_width_um")))
     return " ".join(filter(None, remarks)) or None
 
 

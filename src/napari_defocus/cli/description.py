@@ -7,7 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from napari_defocus.cli.microscope import defocus_facts, defocus_lines, microscope_of
+from napari_defocus.cli.microscope import (
+    defocus_facts,
+    defocus_lines,
+    microscope_of,
+    remarks_on_pixels,
+)
 from napari_defocus.pipeline import Measurement
 from napari_defocus.psf import AUTO
 from napari_defocus.settings import CONFIDENT, UNKNOWN, MapSettings, MaskSettings
@@ -35,13 +40,16 @@ def picture_facts(
     from napari_defocus.core.picture_remarks import picture_remarks
 
     variance, intensities = found.noise_variance, found.intensities
+    remarks = picture_remarks(picture, settings.window)
+    if isinstance(found, Measurement):
+        remarks = [*remarks, *remarks_on_pixels(image, found)]
     levels = 255.0 if intensities is None else intensities.grey_levels
     return {
         **file_of_picture(image, found.image_shape),
         "psf": settings.settled(found.psf).psf,
         "psf_choice": found.psf_choice and found.psf_choice.facts(),
         "doubt": found.doubt,
-        "picture_remarks": picture_remarks(picture, settings.window),
+        "picture_remarks": remarks,
         "scale": found.psf.scale_name,
         "camera_softness": settings.camera_softness if settings.mode == "curve" else 0.0,
         "noise_variance": variance,

@@ -62,7 +62,7 @@ def _all_given(values: list[str], typed: Mapping[str, Any]) -> dict[str, Any]:
     if not values:
         return dict(typed)
     written = psf_from_text(":".join([MICROSCOPE, *values]))
-    return {name: getattr(written, name) for name in (*_OPTIONS, "specimen")} | typed
+    return {name: getattr(written, name) for name in (*_OPTIONS, "specimen")} | dict(typed)
 
 
 def _index(immersion: str) -> float:
@@ -103,6 +103,21 @@ def microscope_of(found: Measurement) -> Microscope | None:
     from napari_defocus.psf.microscope import Microscope
 
     return found.psf if isinstance(found.psf, Microscope) else None
+
+
+def remarks_on_pixels(image: Path, found: Measurement) -> list[str]:
+    """Return what to say if a picture's file notes another pixel size than the microscope has."""
+    from napari_defocus.io.microscope_metadata import noted_microscope
+
+    lens = microscope_of(found)
+    if lens is None:
+        return []
+    try:
+        noted = noted_microscope(image)["pixel_size_um"]
+    except ValueError:  # what cannot be read says nothing
+        return []
+    remark = lens.remark_on_pixels(noted)
+    return [] if remark is None else [remark]
 
 
 def defocus_facts(lens: Microscope | None, facts: Mapping[str, Any]) -> dict[str, Any]:

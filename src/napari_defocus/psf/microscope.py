@@ -41,6 +41,9 @@ _RINGS, _WIDEST_RING = 16, 0.5
 """Samples of the profile in wavelength / NA: ten up to the first zero of the Airy disc; and how wide
 the ring of a sample may be, in px. By hand."""
 
+_SAME_PIXELS = 0.02
+"""Pixel sizes that differ by a smaller share are the same. By hand."""
+
 _REACH_STEP = 1.25
 """Kernels whose reach differs by less than this factor share their Bessel functions. By hand."""
 
@@ -186,6 +189,15 @@ class Microscope:
         Of a float or an array, such as a blur map.
         """
         return radius / self.radius_per_um
+
+    def remark_on_pixels(self, noted_um: float | None) -> str | None:
+        """Return what to say if a picture notes another pixel size in um; None if it does not."""
+        if noted_um is None or abs(noted_um / self.pixel_size_um - 1) <= _SAME_PIXELS:
+            return None
+        return (
+            f"The picture notes pixels of {noted_um:.4g} um, but the microscope that was given has "
+            f"{self.pixel_size_um:.4g} um: um are wrong if the picture is right."
+        )
 
     def with_wider_pixels(self, side: int, largest: float) -> Microscope:
         """Return the same with pixels that are means of `side` x `side` px, up to a scale."""
