@@ -61,7 +61,8 @@ def test_defocus_is_found_in_um_and_so_is_what_the_specimen_shows(kind, request)
     assert np.median(LENS.defocus_um(blur_map)) == pytest.approx(DEFOCUS_UM, rel=0.1)
     assert np.median(confidence_map(candidates, blur_map)) > 0.5
     choice = candidates.psf_choice
-    assert choice.psf.specimen == {"tissue": "texture", "beads": "points"}[kind] and choice.found
+    assert choice.psf.specimen == {"tissue": "texture", "beads": "points"}[kind]
+    assert choice.found
 
 
 @pytest.fixture
@@ -74,7 +75,8 @@ def micrograph(tmp_path, tissue):
 
 def test_terminal_tells_um_and_writes_them(micrograph):
     told = run("map", micrograph, *TYPED)
-    assert "defocus      median 0." in told.output and "one picture cannot tell" in told.output
+    assert "defocus      median 0." in told.output
+    assert "one picture cannot tell" in told.output
     folder = micrograph.parent
     um, px = (tifffile.imread(folder / f"tissue-{name}.tif") for name in ("defocus", "blur"))
     np.testing.assert_allclose(um, LENS.defocus_um(px), rtol=1e-5)
@@ -99,7 +101,8 @@ def test_table_of_a_batch_has_um_beside_px(micrograph, tmp_path):
     assert measure_batch([micrograph], tmp_path / "out", settings=Settings(map=lens)).failed == 0
     [row] = csv.DictReader((tmp_path / "out" / "table.csv").open())
     um, px = (float(row[name]) for name in ("median_defocus_um", "median_radius_px"))
-    assert um == pytest.approx(LENS.defocus_um(px), rel=1e-4) and row["p95_defocus_um"]
+    assert um == pytest.approx(LENS.defocus_um(px), rel=1e-4)
+    assert row["p95_defocus_um"]
 
 
 def test_settings_file_repeats_the_microscope(micrograph, tmp_path):
@@ -116,13 +119,16 @@ def test_napari_shows_um(tissue):
     results = Analysis(plane=plane, estimation=asked).run(JobCache())
     add_results(viewer, results)
     um = viewer.layers["tissue defocus (µm)"]
-    assert np.median(um.data) == pytest.approx(DEFOCUS_UM, rel=0.1) and um.colorbar.visible
+    assert np.median(um.data) == pytest.approx(DEFOCUS_UM, rel=0.1)
+    assert um.colorbar.visible
     assert um.contrast_limits[1] == pytest.approx(LENS.defocus_um(8.0), rel=1e-3)
     viewer.cursor.position = SIDE // 2, SIDE // 2
-    assert " px = 0." in text_under_cursor(viewer) and "µm" in text_under_cursor(viewer)
+    assert " px = 0." in text_under_cursor(viewer)
+    assert "µm" in text_under_cursor(viewer)
     assert "Defocus 0." in summary_of(results, None, Picture.of(plane))
 
 
 def test_another_pixel_size_than_the_file_notes_is_told(micrograph):
-    told = run("map", micrograph, *TYPED, "--pixel-size", 0.325, "-o", micrograph.with_name("m.tif"))
+    output = ["-o", micrograph.with_name("m.tif")]
+    told = run("map", micrograph, *TYPED, "--pixel-size", 0.325, *output)
     assert "careful      The picture notes pixels of 0.1625 um" in told.output

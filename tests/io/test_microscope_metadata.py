@@ -64,7 +64,7 @@ def test_missing_numbers_are_named(tmp_path):
 
 
 def test_pixels_that_are_not_square_are_refused(ome_tiff):
-    with pytest.raises(ValueError, match="0.108 x 0.2 um; it takes square ones"):
+    with pytest.raises(ValueError, match=r"0\.108 x 0\.2 um; it takes square"):
         read_microscope(ome_tiff(height=200))
 
 

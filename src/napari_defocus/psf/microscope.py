@@ -38,8 +38,8 @@ _TAPER = 0.25
 the scale. By hand."""
 
 _RINGS, _WIDEST_RING = 16, 0.5
-"""Samples of the profile in wavelength / NA: ten up to the first zero of the Airy disc; and how wide
-the ring of a sample may be, in px. By hand."""
+"""Samples of the profile in wavelength / NA: ten up to the first zero of the Airy disc; and how
+wide the ring of a sample may be, in px. By hand."""
 
 _SAME_PIXELS = 0.02
 """Pixel sizes that differ by a smaller share are the same. By hand."""

@@ -22,8 +22,8 @@ from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_metadata import (
     AT,
     BEST_FOCUS,
-    HEIGHT,
     FOCUS_CONFIDENCE,
+    HEIGHT,
     METADATA_KEY,
     SHARPEST,
     Results,
