@@ -14,8 +14,8 @@ from napari_defocus.psf.parsing import psf_from_text, psf_text
 
 _SPECIMENS = {
     "found from the picture": "auto",
-    "things with edges (tissue, nuclei)": "texture",
-    "points (beads, vesicles)": "points",
+    "edges: tissue, nuclei": "texture",
+    "points: beads": "points",
 }
 
 
