@@ -215,8 +215,8 @@ class FocusStacking:
                 name="best focus (plane)",
                 **(position | hidden),
             ),
-            *self._height_layer(found),
             self._layer(found, FOCUS_CONFIDENCE, found.confidence, **(sure | hidden)),
+            *self._height_layer(found),
         ]
 
     @property
