@@ -157,6 +157,9 @@ from .psf.parsing import (
 from .restoration.all_in_focus import (
     RestorationFit as RestorationFit,
 )
+from .restoration.all_in_focus import (
+    TiledRestorationFit as TiledRestorationFit,
+)
 from .restoration.refocusing import (
     change_focus as change_focus,
 )

@@ -19,6 +19,7 @@ from napari_defocus.batch.folder import Facts, read_note, write_note
 from napari_defocus.batch.table import (
     DONE,
     FAILED,
+    LEFT,
     PixelCounts,
     Row,
     count_pixels,
@@ -53,7 +54,7 @@ from napari_defocus.pipeline import (
     used,
 )
 from napari_defocus.psf.microscope import Microscope
-from napari_defocus.restoration.all_in_focus import Restoration
+from napari_defocus.restoration.all_in_focus import Restoration, RestorationFit
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
@@ -248,6 +249,8 @@ def measure_plane(task: PlaneTask) -> Row:
         made = _made_of(found, picture, task, shaping)
         _write(task, made, found, picture)
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan, shaping)
+        if LEFT in made:
+            row[LEFT] = float(made[LEFT].mean())
         row |= task.results | {"careful": _remarks(picture, found, row)}
         write_note(task.row_path, row)
     except Exception as error:
@@ -277,11 +280,14 @@ def _made_of(
     if "mask" in plan.kinds:
         made["mask"] = segment(found.candidates, picture, shaping, plan.intensity_range)
     if "in_focus" in plan.kinds:
-        made["in_focus"] = with_opacity(_restored(found, picture, task), picture)
+        restored, fit = _restored(found, picture, task)
+        made |= {"in_focus": with_opacity(restored, picture), LEFT: fit.left_as_it_was}
     return made
 
 
-def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDArray[Any]:
+def _restored(
+    found: Measurement, picture: NDArray[Any], task: PlaneTask
+) -> tuple[NDArray[Any], RestorationFit]:
     """Take away what is safe to take away, as the command for one picture does."""
     plan, settings = task.plan, task.plan.settings.restoration
     noise, limits = settings.noise_variance, None
@@ -291,7 +297,7 @@ def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDA
     elif noise is None:
         noise = found.noise_variance
     safe, how = found.cautious(settings.risk), plan.restoration(found.psf, noise)
-    return restore(picture, safe, found.confidence, how, limits=limits)[0]
+    return restore(picture, safe, found.confidence, how, limits=limits)
 
 
 def _stack_limits(task: PlaneTask) -> Limits:

@@ -41,11 +41,14 @@ _IN_UM = {
 RESULTS = ("map", "confidence", "mask", "in_focus")
 """Columns that say where results are; empty for those that were not asked for."""
 
+LEFT = "share_left_as_it_was"
+"""Column that says which share of a plane was not restored, as it would get rings."""
+
 COLUMNS = (
     *("source", "plane", "status", "error", "width", "height"),
     *_RADII.values(),
     *_IN_UM.values(),
-    *("threshold_px", "share_in_focus", "median_confidence", "share_sure", "careful"),
+    *("threshold_px", "share_in_focus", "median_confidence", "share_sure", LEFT, "careful"),
     "noise_variance",
     *("intensity_low", "intensity_high", "contrast"),
     *("pixel_width_um", "pixel_height_um"),

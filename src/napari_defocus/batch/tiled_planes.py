@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
-from napari_defocus.batch.table import DONE, PixelCounts, Row, defocus_facts
+from napari_defocus.batch.table import DONE, LEFT, PixelCounts, Row, defocus_facts
 from napari_defocus.core.progress import silent
 from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
@@ -36,6 +36,8 @@ class TileNote:
     px: int
     counts: PixelCounts
     noise: Row
+    left: float | None = None
+    """Share left as it was; None if it was not restored."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,7 @@ class TiledPlane:
         facts = counts.facts()
         facts |= defocus_facts(facts, self.task.plan.settings.map.family())
         row = known | {"status": DONE} | facts | self.notes[0].noise | self.task.results
+        row[LEFT] = _share_left(self.notes)
         write_note(self.task.row_path, row)
         for tile in self._parts:
             tile.note.unlink(missing_ok=True)
@@ -126,13 +129,15 @@ class TiledPlane:
         if restoration is not None:
             noise = restoration.noise_variance
             how = plan.restoration(lazy.psf, settings.noise_variance if noise is None else noise)
-            found["in_focus"] = napari_defocus.restore_all_in_focus(
+            found["in_focus"], fit = napari_defocus.restore_all_in_focus(
                 plane,
                 found.pop("cautious"),
                 **vars(how),
                 confidence=found["confidence"],
                 block_size=block_size,
+                return_fit=True,
             )
+            found[LEFT] = fit.left_as_it_was
         return found, lazy.noise(()), threshold
 
     def _threshold(self, lazy: Any) -> Any:
@@ -152,7 +157,8 @@ def _finished(tile: _TileTask) -> TileNote | None:
     known = read_note(tile.note)
     if known is None or not all(t.has((*tile.index, *tile.region)) for t in tile.targets):
         return None
-    return TileNote(_px(tile.region), PixelCounts.of_note(known["counts"]), known["noise"])
+    counts = PixelCounts.of_note(known["counts"])
+    return TileNote(_px(tile.region), counts, known["noise"], known.get(LEFT))
 
 
 def _write(
@@ -168,5 +174,16 @@ def _write(
         target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
     known = {"noise_variance": float(noise.known), "threshold_px": threshold}
     known |= noise.intensities.facts()
-    write_note(tile.note, {"counts": counts.note(), "noise": known})
-    return TileNote(_px(tile.region), counts, known)
+    left = float(found[LEFT].mean()) if LEFT in found else None
+    write_note(tile.note, {"counts": counts.note(), "noise": known, LEFT: left})
+    return TileNote(_px(tile.region), counts, known, left)
+
+
+def _share_left(notes: list[TileNote]) -> float | None:
+    """Return the share of a plane that was left as it was; None if it was not restored."""
+    shares = [note.left for note in notes if note.left is not None]
+    if len(shares) < len(notes):
+        return None
+    return sum(note.px * share for note, share in zip(notes, shares, strict=True)) / sum(
+        note.px for note in notes
+    )

@@ -92,7 +92,7 @@ def depth(
     found = measuring.find(picture, settings, progress)
     trusted = found.trusted(min_confidence)
     distance = napari_defocus.depth_from_blur(trusted, lens, side=side)
-    facts = lens_facts(lens, thin_lens) | {"side": side}
+    facts = lens_facts(image, lens, thin_lens) | {"side": side}
     made_with = used(found, settings) | facts | {"min_confidence": min_confidence}
     contents = encoded(
         outputs,

@@ -141,8 +141,10 @@ focus_distance M
     Distance, in m, that the lens was focused at when the picture was taken; inf for infinitely
     far. Few cameras note it.
 pixel_pitch UM
-    How far the pixels of IMAGE are apart on the sensor, in um: twice the sensor's pitch if IMAGE
-    was scaled down to a half.
+    How far the pixels of IMAGE are apart on the sensor, in um: 1000 x the sensor's width in mm /
+    the width of IMAGE in px, if nothing was cropped. Sensors are 36 mm wide (full frame), 23.5 mm
+    (APS-C), 17.3 mm (Four Thirds), 5 to 10 mm (phones). If left out, it is what IMAGE notes, and
+    the line thin lens says where from.
 side
     Where the blurred things are: beyond the plane in focus (far) or before it (near). One picture
     cannot tell.

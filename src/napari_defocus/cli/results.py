@@ -17,6 +17,8 @@ from napari_defocus.settings import MapSettings
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from napari_defocus.restoration.all_in_focus import RestorationFit
+
 
 @dataclass(frozen=True, kw_only=True)
 class Files(OptionGroup):
@@ -114,6 +116,20 @@ def encoded_defocus(
     made_with = used(found, settings) | {"min_confidence": min_confidence}
     contents = defocus_tiff(lens.defocus_um(found.trusted(min_confidence)), made_with)
     return dict.fromkeys(outputs, contents)
+
+
+def encoded_left(
+    lefts: list[Path], fit: RestorationFit, made_with: Mapping[str, Any]
+) -> dict[Path, bytes]:
+    """Return what the files hold that say how far a restored picture was left as it was."""
+    from napari_defocus.io import encoders
+
+    left = fit.left_as_it_was
+    return encoded(
+        lefts,
+        lambda: encoders.left_as_it_was_png(left),
+        lambda: encoders.left_as_it_was_tiff(left, made_with),
+    )
 
 
 def encoded_masks(

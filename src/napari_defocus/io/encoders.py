@@ -86,6 +86,11 @@ def confidence_tiff(
     return _tiff(confidence, what, settings, made, pixel_size)
 
 
+def left_as_it_was_tiff(left: ArrayLike, settings: Mapping[str, Any]) -> bytes:
+    """Encode how far a picture was left as it was, (H, W) in [0, 1], as `confidence_tiff` does."""
+    return _tiff(left, {"quantity": "share left as it was", "unit": "1"}, settings)
+
+
 def depth_tiff(depth: ArrayLike, settings: Mapping[str, Any]) -> bytes:
     """Encode distances, (H, W) in m, as a float32 TIFF file like `blur_map_tiff`.
 
@@ -301,6 +306,11 @@ def depth_png(depth: ArrayLike, min_confidence: float = 0.0) -> bytes:
 def confidence_png(confidence: ArrayLike) -> bytes:
     """Draw a confidence map, (H, W) in [0, 1], in grey with a colour bar, as a PNG file."""
     return _drawing(confidence, "gray", (0.0, 1.0), "confidence")
+
+
+def left_as_it_was_png(left: ArrayLike) -> bytes:
+    """Draw how far a picture was left as it was, (H, W) in [0, 1], as `confidence_png` does."""
+    return _drawing(left, "gray", (0.0, 1.0), "left as it was")
 
 
 def _drawing(

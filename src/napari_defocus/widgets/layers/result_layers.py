@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from napari.types import LayerDataTuple
-from napari.utils.colormaps import DirectLabelColormap
+from napari.utils.colormaps import Colormap, DirectLabelColormap
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
@@ -26,6 +26,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     CONFIDENCE,
     DEFOCUS,
     IN_FOCUS,
+    LEFT_AS_IT_WAS,
     MEASURED_PSF,
     METADATA_KEY,
     NOT_TRUSTED,
@@ -51,6 +52,9 @@ NOT_TRUSTED_OPACITY = 0.6
 
 A dark one is seen on yellow, but hardly on the purple of what is in focus.
 """
+
+LEFT_COLOR, LEFT_OPACITY = (1.0, 0.55, 0.0), 0.6
+"""Orange is seen on dark and on bright pictures; they are seen through it."""
 
 
 def blur_map_layer(
@@ -115,6 +119,27 @@ def confidence_layer(
         colormap=CONFIDENCE_COLOR_MAP,
         contrast_limits=(0.0, 1.0),
         visible=False,
+    )
+
+
+def left_as_it_was_layer(
+    plane: Plane, left: NDArray[np.floating], settings: dict[str, Any], facts: dict[str, Any]
+) -> LayerDataTuple:
+    """Return how far a picture was left as it was, from 0 to 1, as a veil over what was restored.
+
+    Parameters
+    ----------
+    plane : Plane
+        What was restored.
+    left : (H, W) float ndarray
+        See `RestorationFit`.
+    settings, facts : dict
+        See `provenance`.
+    """
+    return result_layer(
+        *(plane, LEFT_AS_IT_WAS, left, settings, facts),
+        colormap=Colormap([(*LEFT_COLOR, 0.0), (*LEFT_COLOR, LEFT_OPACITY)], LEFT_AS_IT_WAS),
+        contrast_limits=(0.0, 1.0),
     )
 
 
