@@ -43,6 +43,9 @@ from .forward.occlusion import (
 from .forward.simulation import (
     simulate_defocus as simulate_defocus,
 )
+from .io.microscope_metadata import (
+    read_microscope as read_microscope,
+)
 from .io.pictures import (
     UnreadablePicture as UnreadablePicture,
 )
@@ -144,6 +147,9 @@ from .psf.families import (
 )
 from .psf.measured import (
     MeasuredPSF as MeasuredPSF,
+)
+from .psf.microscope import (
+    Microscope as Microscope,
 )
 from .psf.parsing import (
     psf_from_text as psf_from_text,

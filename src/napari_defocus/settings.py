@@ -26,7 +26,7 @@ from napari_defocus.core.checks import (
     check_weights,
     check_whole,
 )
-from napari_defocus.psf import AUTO, MAX_RADIUS
+from napari_defocus.psf import MAX_RADIUS, is_left_open
 
 if TYPE_CHECKING:
     from napari_defocus.psf.families import PSFFamily
@@ -129,7 +129,7 @@ class MapSettings:
 
     def settled(self, psf: PSFFamily) -> MapSettings:
         """Return the settings with the family that the picture chose, if it was to choose."""
-        if self.psf != AUTO:
+        if not is_left_open(self.psf):
             return self
         from napari_defocus.psf.parsing import psf_text
 

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 import napari_defocus
 from napari_defocus.batch.folder import Facts, read_note, write_note
-from napari_defocus.batch.table import DONE, FAILED, LEFT, PixelCounts, Row, count_pixels
+from napari_defocus.batch.table import (
+    DONE,
+    FAILED,
+    LEFT,
+    PixelCounts,
+    Row,
+    count_pixels,
+    defocus_facts,
+)
 from napari_defocus.core.intensity import Limits
 from napari_defocus.core.picture_remarks import picture_remarks
 from napari_defocus.core.progress import silent
@@ -45,6 +53,7 @@ from napari_defocus.pipeline import (
     threshold_of_stack,
     used,
 )
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.restoration.all_in_focus import Restoration, RestorationFit
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
 
@@ -242,7 +251,7 @@ def measure_plane(task: PlaneTask) -> Row:
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan, shaping)
         if LEFT in made:
             row[LEFT] = float(made[LEFT].mean())
-        row |= task.results | {"careful": _remarks(picture, found)}
+        row |= task.results | {"careful": _remarks(picture, found, row)}
         write_note(task.row_path, row)
     except Exception as error:
         return failed(task.known, reason(error))
@@ -312,14 +321,16 @@ def _facts(
     threshold, noise = threshold_in_px(shaping), found.noise_variance
     counts = plan.counts(found.blur_map, found.confidence, mask, threshold)
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
-    facts |= {"threshold_px": threshold}
+    facts |= {"threshold_px": threshold} | defocus_facts(facts, found.psf)
     return facts | ({} if found.intensities is None else found.intensities.facts())
 
 
-def _remarks(picture: NDArray[Any], found: Measurement) -> str | None:
+def _remarks(picture: NDArray[Any], found: Measurement, row: Row) -> str | None:
     """Return why a plane tells little of its blur, in sentences; None if nothing says so."""
     assert found.candidates is not None
     remarks = [*picture_remarks(picture, found.candidates.window), found.doubt]
+    if isinstance(found.psf, Microscope):
+        remarks.append(found.psf.remark_on_pixels(row.get("pixel_width_um")))
     return " ".join(filter(None, remarks)) or None
 
 

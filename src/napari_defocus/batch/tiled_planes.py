@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
-from napari_defocus.batch.table import DONE, LEFT, PixelCounts, Row
+from napari_defocus.batch.table import DONE, LEFT, PixelCounts, Row, defocus_facts
 from napari_defocus.core.progress import silent
 from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
@@ -94,7 +94,9 @@ class TiledPlane:
         if self.error is not None:
             return failed(known, self.error)
         counts = reduce(add, (note.counts for note in self.notes))
-        row = known | {"status": DONE} | counts.facts() | self.notes[0].noise | self.task.results
+        facts = counts.facts()
+        facts |= defocus_facts(facts, self.task.plan.settings.map.family())
+        row = known | {"status": DONE} | facts | self.notes[0].noise | self.task.results
         row[LEFT] = _share_left(self.notes)
         write_note(self.task.row_path, row)
         for tile in self._parts:

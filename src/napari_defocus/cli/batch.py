@@ -105,8 +105,8 @@ def batch(
     from napari_defocus.batch.cluster import dask_client
     from napari_defocus.io.open import find_sources
 
-    find_sources(inputs)  # what is not there is told before workers start
-    restoration, map_settings = restoring.settings(), measuring.settings()
+    pictures = find_sources(inputs)  # what is not there is told before workers start
+    restoration, map_settings = restoring.settings(), measuring.settings(*pictures)
     mask_settings = _mask_settings(settings_file, threshold, unknown)
     settings = napari_defocus.Settings(
         map=map_settings, mask=mask_settings, restoration=restoration

@@ -72,8 +72,18 @@ image IMAGE
     (.svs, .ndpi, .scn, .qptiff and the like), the largest level is read.
 psf TEXT
     The shape that the lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION,
-    gaussian, generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote. auto lets the
-    picture choose, and says what it chose.
+    gaussian, generalized-gaussian:EXPONENT, microscope, or the .npz file that calibrate wrote. auto
+    lets the picture choose, and says what it chose. microscope takes the options below, or
+    microscope:NA:WAVELENGTH:PIXEL:INDEX in um, and tells the defocus in um, too.
+numerical_aperture NA
+    Numerical aperture of a microscope's objective. What is not given of the microscope is read from
+    IMAGE (OME-TIFF, OME-Zarr).
+wavelength UM
+    Wavelength of the light in um: 0.52 for green. In fluorescence, that of emission.
+immersion NAME|INDEX
+    What is between objective and specimen: air, water, glycerol, oil, or a refractive index.
+pixel_size UM
+    Distance of the pixels of IMAGE in the specimen, in um.
 noise_variance NUMBER
     Variance of the noise in the luminance, for intensities from 0 to 1. If left out, it is found
     from the picture.

@@ -105,7 +105,7 @@ def restore(
     from napari_defocus.io.provenance import ALL_IN_FOCUS
 
     outputs = output or beside(image, "-in-focus.png")
-    settings, asked = measuring.settings(), restoring.settings()
+    settings, asked = measuring.settings(image), restoring.settings()
     intensity_range = measuring.intensity_range
     lefts = [left_as_it_was] if left_as_it_was else []
     written = [*outputs, *lefts]
@@ -174,7 +174,7 @@ def refocus(
     from napari_defocus.io.provenance import REFOCUSED
 
     outputs = output or beside(image, "-refocused.png")
-    settings, asked = measuring.settings(), restoring.settings()
+    settings, asked = measuring.settings(image), restoring.settings()
     intensity_range = measuring.intensity_range
     check_change(focus, sharp_at, aperture, thin_lens)
     lefts = [left_as_it_was] if left_as_it_was else []

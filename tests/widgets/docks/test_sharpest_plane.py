@@ -52,17 +52,20 @@ def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(vie
         axis_labels=("z", "y", "x"),
     )
     results = found_of(viewer, layer, 0)
-    picture, position, sure = add_results(viewer, results.layers)
-    assert [each.name for each in (picture, position, sure)] == [
+    picture, position, sure, height = add_results(viewer, results.layers)
+    assert [each.name for each in (picture, position, sure, height)] == [
         "sweep sharpest",
         "sweep best focus (plane)",
         "sweep best focus confidence",
+        "sweep height of best focus (µm)",
     ]
+    np.testing.assert_allclose(height.data, 5 * position.data, rtol=1e-6)
+    assert tuple(height.contrast_limits) == (0, 30)
     assert picture.data.dtype == np.uint8
     assert np.median(np.abs(position.data - FOCUS)) < 0.3
     assert tuple(position.contrast_limits) == (0, 6)
     assert position.colorbar.visible
-    for each in (picture, position, sure):
+    for each in (picture, position, sure, height):
         assert each.data.shape == (90, 140)
         assert tuple(each.scale) == (0.5, 0.25)
         assert tuple(each.translate) == (2, 3)
@@ -71,7 +74,7 @@ def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(vie
         assert each.metadata[METADATA_KEY]["px_per_plane"] == 1
     assert "The blur grows by 1.00 px a plane (given)" in results.summary
     again = add_results(viewer, results.layers)
-    assert again == [picture, position, sure]
+    assert again == [picture, position, sure, height]
 
 
 def test_focus_along_one_of_two_sliders_of_colours_in_any_order(viewer, sweep):

@@ -138,6 +138,7 @@ class SharpestPlaneWidget(ImagePanel):
         )
         settings.take(preferred_settings().map, preferred_settings().mask)
         settings.shot_noise.value = False
+        settings.lens.microscope.attach(self.image)
         settings.show_needed(estimating=True, lens=True)
         settings.show_more(False)
         self.image.changed.connect(lambda _: self._on_image())

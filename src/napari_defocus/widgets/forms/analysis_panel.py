@@ -75,6 +75,7 @@ class AnalysisPanel(ImagePanel):
 
     def _wire(self) -> None:
         """Let the fields act; once they are in a form."""
+        self.settings.lens.microscope.attach(self.image)
         self.settings.lens.show_needed()
         self.settings.show_more(False)
         self.comparison.forget()

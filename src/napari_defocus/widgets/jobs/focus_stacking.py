@@ -13,6 +13,7 @@ from napari_defocus.core.axes import known_axis
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
+from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import as_dask
@@ -23,6 +24,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     AT,
     BEST_FOCUS,
     FOCUS_CONFIDENCE,
+    HEIGHT,
     METADATA_KEY,
     SHARPEST,
     Results,
@@ -221,7 +223,24 @@ class FocusStacking:
                 **(position | hidden),
             ),
             self._layer(found, FOCUS_CONFIDENCE, found.confidence, **(sure | hidden)),
+            *self._height_layer(found),
         ]
+
+    @property
+    def z_step_um(self) -> float | None:
+        """How far planes are apart in um, if the layer's scale and units say it."""
+        unit = MICROMETERS.get(str(self.plane.placement["units"][self.axis]))
+        return None if unit is None else unit * float(self.plane.placement["scale"][self.axis])
+
+    def _height_layer(self, found: SharpestPlane) -> list[LayerDataTuple]:
+        """Return the positions as heights above the first plane in um, if the step is known."""
+        step = self.z_step_um
+        if step is None:
+            return []
+        ends = tuple(sorted((0.0, step * (self.count - 1))))
+        looks = {"colormap": COLOR_MAP, "contrast_limits": ends, "visible": False}
+        heights = found.height_um(step)
+        return [self._layer(found, HEIGHT, heights, name="height of best focus (µm)", **looks)]
 
     def _alignment(self, found: SharpestPlane) -> StackAlignment:
         """Return how the planes lie on each other, also if none has moved."""

@@ -18,11 +18,13 @@ from napari_defocus.core.color_range import color_limit
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.measured import MeasuredPSF
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.settings import UNKNOWN, MapSettings, MaskSettings
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
+    DEFOCUS,
     IN_FOCUS,
     LEFT_AS_IT_WAS,
     MEASURED_PSF,
@@ -37,6 +39,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     scale_prefix,
 )
 
+_NO_SIDE = "above or below the focus: one picture cannot tell"
 COLOR_MAP = "viridis"
 MASK_COLOR = (1.0, 0.2, 0.8, 1.0)
 """Far from all colours of the map, and from those of most pictures."""
@@ -87,6 +90,16 @@ def blur_map_layer(
         colormap=COLOR_MAP,
         contrast_limits=(0.0, color_limit(blur_map)),
     )
+
+
+def defocus_layer(blur_map: LayerDataTuple, lens: Microscope) -> LayerDataTuple:
+    """Return a blur map, as `blur_map_layer` gives it, as a layer of the defocus in um."""
+    values, keywords, kind = blur_map
+    made = {**keywords["metadata"][METADATA_KEY], "result": DEFOCUS, "unit": "um", "side": _NO_SIDE}
+    name = keywords["name"].removesuffix("blur (px)") + "defocus (µm)"
+    limits = tuple(lens.defocus_um(limit) for limit in keywords["contrast_limits"])
+    looks = {**keywords, "name": name, "contrast_limits": limits, "metadata": {METADATA_KEY: made}}
+    return LayerDataTuple((lens.defocus_um(values).astype(np.float32), looks, kind))
 
 
 def confidence_layer(

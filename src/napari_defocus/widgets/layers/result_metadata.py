@@ -27,6 +27,7 @@ RUN = "run"
 """Which run has made a result, in its metadata: the larger the number, the newer."""
 
 BLUR_MAP = "blur map"
+DEFOCUS = "defocus"
 CONFIDENCE = "confidence"
 NOT_TRUSTED = "not trusted"
 IN_FOCUS = "in focus"
@@ -39,6 +40,7 @@ DEPTH_SURFACE = "depth surface"
 RELIEF = "relief"
 SHARPEST = "sharpest pixels"
 BEST_FOCUS = "best focus"
+HEIGHT = "height"
 FOCUS_CONFIDENCE = "best focus confidence"
 
 OUTSIDE = (
