@@ -27,6 +27,7 @@ from record import OURS, PAPER, Number, Record
 from napari_defocus import BlurCandidates, estimate_candidates
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT, JUMP, REACH
+from napari_defocus.labeling.blurred_edges import less_at_blurred_edges
 from napari_defocus.labeling.graph_cuts import (
     energy_of,
     expand_until_settled,
@@ -92,7 +93,10 @@ class Problem:
 
     def of_windows(self) -> tuple[np.ndarray, np.ndarray]:
         """Return costs and weights of the grid of windows."""
-        weights = self.blocks.edge_weights(self.picture.color, COLOR_SIGMA, SMOOTHNESS)
+        color = self.picture.color
+        weights = self.blocks.edge_weights(color, COLOR_SIGMA, SMOOTHNESS)
+        beyond = less_at_blurred_edges(weights, color, self.blocks, COLOR_SIGMA)
+        weights = np.concatenate([weights, beyond])
         return self.cost * self.block_weight[..., None], weights
 
     def of_pixels(self) -> tuple[np.ndarray, np.ndarray]:

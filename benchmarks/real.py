@@ -28,6 +28,7 @@ from napari_defocus import (
     cautious_blur_map,
     confidence_map,
     estimate_candidates,
+    focus_curve,
     label_blur_map,
     restore_all_in_focus,
     simulate_defocus,
@@ -133,11 +134,27 @@ def mitochondria(real: Path, measure: Measure) -> tuple[float, list[tuple[float,
         image = tifffile.imread(path)
         found, sure = measure(image)
         objects = image >= np.quantile(image, 0.9)
-        z = float(path.stem[1:].removesuffix("um"))
-        rows.append((z, float(np.median(found[objects])), float(np.median(sure[objects]))))
+        rows.append(
+            (_distance(path), float(np.median(found[objects])), float(np.median(sure[objects])))
+        )
     rows.sort()
     distance = [abs(z) for z, _, _ in rows]
     return float(spearmanr(distance, [radius for _, radius, _ in rows])[0]), rows
+
+
+def sharpest_mitochondria(real: Path, measure: Measure) -> str:
+    """Return which plane the focus curve names, by its distance from focus."""
+    paths = sorted((real / "mitochondria").glob("*.tif"), key=_distance)
+    maps, sure = (
+        np.stack(each) for each in zip(*(measure(tifffile.imread(p)) for p in paths), strict=True)
+    )
+    curve = focus_curve(maps, confidence=sure)
+    assert curve.best is not None
+    return f"{_distance(paths[curve.best[0]]):+.1f} um, resting on {curve.rests_on}"
+
+
+def _distance(path: Path) -> float:
+    return float(path.stem[1:].removesuffix("um"))
 
 
 def nuclei() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
@@ -237,6 +254,7 @@ def report(real: Path, measure: Measure) -> None:
     correlation, rows = mitochondria(real, measure)
     print(f"mitochondria: rank correlation {correlation:+.2f}")
     print("; ".join(f"{z:+.1f} um {radius:.2f} px ({sure:.2f})" for z, radius, sure in rows))
+    print(f"mitochondria, sharpest plane: {sharpest_mitochondria(real, measure)}")
     for name, image, objects in nuclei():
         found, sure = measure(image)
         print(f"nuclei {name}: {np.median(found[objects]):.2f} px, {sure[objects].mean():.2f}")

@@ -19,7 +19,7 @@ WITHOUT_A_RECIPE = {
     *("BatchReport", "BlurCandidates", "DepthSurface", "FitReport", "FocusCurve", "PSFComparison"),
     *("PSFChoice", "PSFEvidence", "PixelExplanation", "RegionTable", "SharpestPlane"),
     "AutomaticPSF",  # it has no kernels
-    "RestorationFit",
+    *("RestorationFit", "TiledRestorationFit"),
     "StackAlignment",
     # A protocol, exceptions, and a function whose files are fuzzed through the terminal.
     *("PSFFamily", "Cancelled", "UnreadablePicture", "read_picture"),

@@ -122,7 +122,11 @@ def quick(monkeypatch):
 
     def unchanged(image, *_, return_fit=False, **__):
         same = np.asarray(image, np.float32) / 255
-        return (same, RestorationFit(1e-5, 1e-3, 0.0)) if return_fit else same
+        return (
+            (same, RestorationFit(1e-5, 1e-3, 0.0, np.zeros(image.shape[:2], np.float32)))
+            if return_fit
+            else same
+        )
 
     for name in ("restore_all_in_focus", "change_focus"):
         monkeypatch.setattr(napari_defocus, name, unchanged)
@@ -190,6 +194,7 @@ def test_the_scripts_run_one_after_the_other(page, tmp_path, small_sample, monke
         "image": image,
         "seeds": np.zeros(image.shape[:2], np.uint8),
         "blur_maps": np.full((3, 48, 64), 2.0, np.float32),
+        "confidences": np.ones((3, 48, 64), np.float32),
         "pictures_of_a_point_source": lamps(),
         "stack": texture[None, None, :64, :80].repeat(2, axis=0),
         "z_stack": texture[None, :64, :80].repeat(3, axis=0),

@@ -46,6 +46,9 @@ from .forward.occlusion import (
 from .forward.simulation import (
     simulate_defocus as simulate_defocus,
 )
+from .io.microscope_metadata import (
+    read_microscope as read_microscope,
+)
 from .io.pictures import (
     UnreadablePicture as UnreadablePicture,
 )
@@ -148,11 +151,17 @@ from .psf.families import (
 from .psf.measured import (
     MeasuredPSF as MeasuredPSF,
 )
+from .psf.microscope import (
+    Microscope as Microscope,
+)
 from .psf.parsing import (
     psf_from_text as psf_from_text,
 )
 from .restoration.all_in_focus import (
     RestorationFit as RestorationFit,
+)
+from .restoration.all_in_focus import (
+    TiledRestorationFit as TiledRestorationFit,
 )
 from .restoration.refocusing import (
     change_focus as change_focus,

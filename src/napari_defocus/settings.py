@@ -29,7 +29,7 @@ from napari_defocus.core.checks import (
     check_whole,
 )
 from napari_defocus.core.picture_remarks import SATURATED
-from napari_defocus.psf import AUTO, MAX_RADIUS
+from napari_defocus.psf import MAX_RADIUS, is_left_open
 
 if TYPE_CHECKING:
     from napari_defocus.psf.families import PSFFamily
@@ -132,7 +132,7 @@ class MapSettings:
 
     def settled(self, psf: PSFFamily) -> MapSettings:
         """Return the settings with the family that the picture chose, if it was to choose."""
-        if self.psf != AUTO:
+        if not is_left_open(self.psf):
             return self
         from napari_defocus.psf.parsing import psf_text
 

@@ -113,6 +113,12 @@ def test_maps_are_those_of_the_functions_and_rows_tell_of_them(photographs, tmp_
     assert row["share_sure"] == pytest.approx((sure >= 0.5).mean(), rel=1e-5)
     assert row["share_in_focus"] == pytest.approx(mask[sure >= 0.5].mean(), rel=1e-5)
     assert row["threshold_px"] == napari_defocus.focus_threshold(candidates, picture)
+    safe = napari_defocus.cautious_blur_map(candidates, blur_map)
+    noise = candidates.noise_variance
+    _, fit = napari_defocus.restore_all_in_focus(
+        picture, safe, confidence=sure, noise_variance=noise, return_fit=True
+    )
+    assert row["share_left_as_it_was"] == pytest.approx(fit.unrestored, rel=1e-5)
     assert row["noise_variance"] == pytest.approx(candidates.noise_variance, rel=1e-5)
     assert row["source"] == str(photographs / "ramp.png")
 
@@ -356,7 +362,7 @@ def test_large_plane_is_measured_in_parts_and_goes_on(tmp_path, grass, monkeypat
     (row,), (as_one,) = rows_of(report), rows_of(whole)
     assert row["map"] == "maps/wide-blur.tif"
     assert row["in_focus"] == "maps/wide-in-focus.tif"
-    for name in ("median_radius_px", "share_sure", "p95_radius_px"):
+    for name in ("median_radius_px", "share_sure", "p95_radius_px", "share_left_as_it_was"):
         assert row[name] == pytest.approx(as_one[name], abs=0.03)
     assert row["threshold_px"] == as_one["threshold_px"]
     for ending, apart in ((".jpg", 4), ("-blur.png", 4), ("-detail.jpg", 60)):

@@ -119,7 +119,7 @@ def test_lens_is_what_the_photograph_notes_and_what_is_given(folder, instant):
     options = ["--focus-distance", 3, "--f-number", 4]
     result = run("depth", folder / "noted.jpg", *options)
     assert result.exit_code == 0, result.output
-    lens = "50 mm (EXIF), f/4, focused at 3 m, pixels of 1 um (EXIF)"
+    lens = "50 mm (EXIF), f/4, focused at 3 m, pixels of 1 um (EXIF: from the resolution of its"
     assert f"thin lens    {lens}" in result.stdout
     assert "side         far: all blur is assumed to lie beyond the plane in focus" in result.stdout
     used = ThinLens(focal_length_mm=50, f_number=4, focus_distance_m=3, pixel_pitch_um=1)

@@ -15,7 +15,7 @@ from PIL import Image
 import napari_defocus
 from napari_defocus import Annulus, Disc, Gaussian, ThinLens, blur_from_depth, simulate_defocus
 from napari_defocus.core.intensity import Intensities
-from napari_defocus.io.encoders import blur_map_tiff
+from napari_defocus.io.encoders import blur_map_tiff, description_in_tiff
 from napari_defocus.io.pictures import read_picture
 from napari_defocus.restoration.all_in_focus import RestorationFit
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
@@ -82,7 +82,8 @@ def instant(monkeypatch):
             if not options.get("return_fit"):
                 return sharp
             weight = options["tv_weight"] or 0.002
-            return sharp, RestorationFit(options["noise_variance"], weight, 7e-5)
+            left = np.full(sharp.shape[:2], 0.25, np.float32)
+            return sharp, RestorationFit(options["noise_variance"], weight, 7e-5, left)
 
         return make
 
@@ -116,6 +117,20 @@ def test_restore_brings_back_details(tmp_path, gravel):
 def test_picture_that_does_not_fit_its_map_is_told(folder, instant):
     result = run("restore", folder / "p.png")
     assert "lens or map may not fit (variance 7e-05): less blur taken away" in result.stdout
+
+
+@pytest.mark.parametrize("command", [["restore"], ["refocus", "--focus", 1]])
+def test_what_is_left_as_it_was_is_told_and_written(folder, instant, command):
+    files = ["--left-as-it-was", folder / "left.tif", "-o", folder / "r.png"]
+    result = run(*command, folder / "p.png", *files)
+    assert result.exit_code == 0, result.output
+    assert "left         25 % of the picture as it was: there would be rings" in result.stdout
+    left = tifffile.imread(folder / "left.tif")
+    np.testing.assert_array_equal(left, np.full((HEIGHT, WIDTH), 0.25))
+    assert description_in_tiff(folder / "left.tif")["quantity"] == "share left as it was"
+    result = run(*command, folder / "p.png", "--left-as-it-was", folder / "left.jpg")
+    assert result.exit_code == 2
+    assert "its name must end in .png or .tif or .tiff" in result.stderr
 
 
 def test_restore_is_the_function_on_the_map_that_is_given(folder, ramp):

@@ -366,3 +366,21 @@ def test_no_picture_of_a_stack_is_overwritten(tmp_path, small):
     paths = pictures_of(tmp_path / "slices", small, ".tif")
     result = run("sharpest", *paths, "-o", paths[3], "--force")
     assert_fails_in_one_line(result, saying="it is a file that is read")
+
+
+def test_heights_are_in_um_with_the_z_step_of_the_file_or_a_typed_one(stack, tmp_path, planes):
+    assert_fails_in_one_line(
+        run("sharpest", stack, "--height", tmp_path / "h.tif"), saying="--z-step"
+    )
+    outputs = ["-o", tmp_path / "a.tif", "--position", tmp_path / "p.tif"]
+    typed = run("sharpest", stack, "--height", tmp_path / "h.tif", "--z-step", 1.5, *outputs)
+    assert "planes 1.5 um apart" in typed.output
+    height, position = (tifffile.imread(tmp_path / name) for name in ("h.tif", "p.tif"))
+    np.testing.assert_allclose(height, 1.5 * position, rtol=1e-6)
+    assert made_by(tmp_path / "h.tif")["unit"] == "um"
+    noted = tmp_path / "noted.tif"
+    about = {"axes": "ZYX", "unit": "um", "spacing": 0.5}
+    tifffile.imwrite(noted, planes, imagej=True, resolution=(4, 4), metadata=about)
+    told = json.loads(run("sharpest", noted, "-o", tmp_path / "b.tif", "--json").output)
+    assert told["z_step_um"] == 0.5
+    assert told["height_p95_um"] == pytest.approx(0.5 * np.percentile(position, 95), rel=1e-3)

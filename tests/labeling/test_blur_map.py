@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
+from skimage import data
 
 from napari_defocus import (
     BlurCandidates,
@@ -13,6 +14,7 @@ from napari_defocus import (
     explain_pixel,
     label_blur_map,
     labeling_energy,
+    simulate_layered_defocus,
 )
 from napari_defocus.labeling.data_term import KAPPA, artificial_likelihood, data_term
 from napari_defocus.labeling.pairwise_term import Blocks
@@ -49,6 +51,27 @@ def test_blur_of_1_5_px_is_mapped_where_the_noise_is_known(request, defocused, t
 @pytest.mark.parametrize("radius", [3, 5, 7])
 def test_flat_places_take_their_blur_from_textured_ones(astronaut, defocused, radius):
     assert np.abs(estimate_blur_map(defocused(astronaut, radius)) - radius).mean() < 0.1
+
+
+def test_leaf_of_4_5_px_is_not_swallowed_by_its_ground_of_20_px():
+    # Its outline is blurred, too: between neighbouring pixels there is hardly a step.
+    green = np.array([0.5, 0.9, 0.4])
+    row, column = np.indices((400, 500))
+    along = 0.8 * (row - 200) - 0.6 * (column - 250)
+    across = 0.6 * (row - 200) + 0.8 * (column - 250)
+    leaf = (np.abs(across) < 40) & (np.abs(along) < 120)
+    inside = (0.4 + 0.4 * data.gravel()[:400, :500, None] / 255) * green
+    ground = np.hstack([data.astronaut()] * 2)[:400, :500] / 510
+    seen, _ = simulate_layered_defocus(
+        np.where(leaf[..., None], inside, ground),
+        np.where(leaf, 0.0, 1.0),
+        np.where(leaf, 4.5, 20.0),
+        noise_variance=1e-5,
+        rng=0,
+    )
+    blur_map = estimate_blur_map(seen)
+    assert abs(np.median(blur_map[leaf]) - 4.5) < 0.5
+    assert abs(np.median(blur_map[~leaf]) - 20) < 2
 
 
 @TEXTURES

@@ -20,7 +20,7 @@ from napari_defocus.labeling.graph_cuts import (
     minimize_energy,
     solve_exactly,
 )
-from napari_defocus.labeling.multigrid import STEPS
+from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, coarser
 from napari_defocus.labeling.pairwise_term import Blocks
 
 seeds = st.integers(0, 2**32 - 1)
@@ -36,6 +36,10 @@ def grid_weights(rng, rows, columns, strength=1.0):
         if right < 0:
             weights[k, :, 0] = 0
     return weights
+
+
+def two_sets_of_weights(rng, rows, columns, strength=1.0):
+    return np.concatenate([grid_weights(rng, rows, columns, strength) for _ in range(2)])
 
 
 def tiny_problem(seed, labels=4):
@@ -57,15 +61,17 @@ def fused(labels, proposal, data, weights):
     return fuse(labels, proposal, place, (change[0] - change[1])[place].astype(float), weights)
 
 
-def explicit_energy(labels, data, weights):
-    """(14), pair by pair, over (R, C) labels."""
+def explicit_energy(labels, data, weights, wide=WIDE):
+    """(14), pair by pair and threshold by threshold, over (R, C) labels."""
     rows, columns = labels.shape
     energy = sum(float(data[i, j, labels[i, j]]) for i, j in np.ndindex(rows, columns))
     for k, (down, right) in enumerate(STEPS):
         for i, j in np.ndindex(rows, columns):
             if i + down < rows and 0 <= j + right < columns:
-                jump = abs(int(labels[i, j]) - int(labels[i + down, j + right]))
-                energy += float(weights[k, i, j]) * jump
+                low, high = sorted((int(labels[i, j]), int(labels[i + down, j + right])))
+                for threshold in range(low, high):
+                    beyond = len(weights) > HALF and threshold >= wide
+                    energy += float(weights[k + HALF if beyond else k, i, j])
     return energy
 
 
@@ -75,6 +81,49 @@ def test_energy_is_the_sum_written_out():
     labels = rng.integers(0, 6, (4, 5)).astype(np.int32)
     energy = energy_of(labels, data, weights)
     np.testing.assert_allclose(energy, explicit_energy(labels, data, weights), rtol=1e-6)
+
+
+def test_energy_has_other_weights_beyond_the_wide_label():
+    rng = np.random.default_rng(0)
+    data = rng.uniform(size=(4, 5, WIDE + 9)).astype(np.float32)
+    weights = two_sets_of_weights(rng, 4, 5)
+    labels = rng.integers(WIDE - 9, WIDE + 9, (4, 5)).astype(np.int32)
+    energy = energy_of(labels, data, weights)
+    np.testing.assert_allclose(energy, explicit_energy(labels, data, weights), rtol=1e-5)
+
+
+@given(seeds)
+@settings(max_examples=15, deadline=None)
+def test_few_nodes_with_other_weights_beyond_a_label_are_solved_exactly(seed):
+    rng, data, _ = tiny_problem(seed)
+    weights = two_sets_of_weights(rng, 2, 3)
+    low, high = np.zeros((2, 3), np.int32), np.full((2, 3), 3, np.int32)
+    least = min(explicit_energy(labels, data, weights, 2) for labels in all_labelings(low, high))
+    found = explicit_energy(solve_exactly(data, weights, 2), data, weights, 2)
+    np.testing.assert_allclose(found, least, rtol=1e-6)
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_fusion_with_other_weights_beyond_the_wide_label_is_the_best_of_all_mixtures(seed):
+    rng = np.random.default_rng(seed)
+    data = rng.uniform(0, 5, (2, 3, WIDE + 4)).astype(np.float32)
+    weights = two_sets_of_weights(rng, 2, 3, rng.choice([0.1, 1.0, 5.0]))
+    labels, proposal = rng.integers(WIDE - 4, WIDE + 4, (2, 2, 3)).astype(np.int32)
+    mixture = fused(labels, proposal, data, weights)
+    none, both = np.zeros((2, 3), np.int32), np.ones((2, 3), np.int32)
+    mixed = (np.where(taken, proposal, labels) for taken in all_labelings(none, both))
+    least = min(explicit_energy(mix, data, weights) for mix in mixed)
+    np.testing.assert_allclose(explicit_energy(mixture, data, weights), least, rtol=1e-5)
+
+
+def test_coarser_nodes_keep_other_weights_beyond_the_wide_label_apart():
+    rng = np.random.default_rng(0)
+    data = rng.uniform(0, 5, (6, 6, WIDE + 4)).astype(np.float32)
+    near, beyond = grid_weights(rng, 6, 6), grid_weights(rng, 6, 6)
+    _, both = coarser(data, np.concatenate([near, beyond]))
+    np.testing.assert_array_equal(both[:HALF], coarser(data, near)[1])
+    np.testing.assert_array_equal(both[HALF:], coarser(data, beyond)[1])
 
 
 @given(seeds)

@@ -18,8 +18,8 @@ from napari_defocus import (
     label_blur_map,
 )
 from napari_defocus.core.image import prepare_image
-from napari_defocus.likelihood.averaged_pixels import halved_without
-from napari_defocus.likelihood.scale_space import joined_scales, level_count
+from napari_defocus.likelihood.averaged_pixels import halved_without, level_count
+from napari_defocus.likelihood.scale_space import joined_scales
 
 SIDE = 680
 NOISE = 1e-6

@@ -226,11 +226,6 @@ def test_noise_that_would_hide_a_misfit_counts_as_one(coffee, radii):
     assert restore_all_in_focus(seen, radii, return_fit=True)[1].misfit > 0
 
 
-def test_fit_is_that_of_one_picture(blurred, radii):
-    with pytest.raises(ValueError, match="return_fit is True for a stack or a dask array"):
-        restore_all_in_focus(blurred[None], radii[None], axes="ZYXC", return_fit=True)
-
-
 def test_full_confidence_changes_little(blurred, radii, restored):
     sure = restore_all_in_focus(blurred, radii, confidence=np.ones(radii.shape))
     assert np.abs(sure - restored).mean() < 1e-3

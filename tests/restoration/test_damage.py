@@ -1,3 +1,4 @@
+import dask.array as da
 import numpy as np
 import pytest
 
@@ -20,9 +21,31 @@ def test_what_a_wrong_map_would_ruin_is_left_as_it_was(sharp, monkeypatch):
     wrong = np.full(sharp.shape, 7.0)
     restored, fit = restore_all_in_focus(seen, wrong, return_fit=True, tv_weight=3e-5)
     assert fit.unrestored > 0.4
+    untouched = fit.left_as_it_was > 0.95
+    assert untouched.any()
+    changed = np.abs(restored - seen)
+    assert changed[untouched].mean() < 0.1 * changed[fit.left_as_it_was < 0.3].mean()
     monkeypatch.setattr(all_in_focus, "unrestored_share", lambda picture, *_: 0 * picture[..., 0])
     ruined = restore_all_in_focus(seen, wrong, tv_weight=3e-5)
     assert error(restored, sharp) < 0.8 * error(ruined, sharp)
+
+
+def test_a_stack_and_tiles_say_what_was_left_of_each_plane(sharp):
+    seen = simulate_defocus(sharp, np.full(sharp.shape, 3.0), noise_variance=1e-6, rng=0)
+    planes, radii = np.stack([seen, seen]), np.empty((2, 128, 128))
+    radii[0], radii[1] = 3, 7
+    _, fit = restore_all_in_focus(planes, radii, axes="zyx", tv_weight=3e-5, return_fit=True)
+    right, wrong = fit.unrestored
+    assert (right < 0.01, wrong > 0.4) == (True, True)
+    _, whole = restore_all_in_focus(seen, radii[1], tv_weight=3e-5, return_fit=True)
+    np.testing.assert_allclose(fit.left_as_it_was[1], whole.left_as_it_was, atol=1e-6)
+    wide, sevens = np.tile(seen, (1, 3)), np.full((128, 384), 7.0)
+    options = {"tv_weight": 3e-5, "return_fit": True}
+    _, whole = restore_all_in_focus(wide, sevens, **options)
+    lazy = da.from_array(wide, chunks=128)
+    _, of_tiles = restore_all_in_focus(lazy, sevens, block_size=256, **options)
+    assert of_tiles.left_as_it_was.numblocks == (1, 2)
+    assert float(of_tiles.unrestored) == pytest.approx(whole.unrestored, abs=0.08)
 
 
 def test_a_right_map_leaves_nothing(sharp):

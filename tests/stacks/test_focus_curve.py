@@ -48,6 +48,34 @@ def test_confidence_is_told_and_pixels_without_any_do_not_count():
     assert curve.median_radius[2] == 1
 
 
+def test_sharpest_plane_is_that_of_the_bright_objects_not_of_the_dark_background():
+    """As in fluorescence: one pixel in eight is an object, and the ground has chance radii."""
+    rng = np.random.default_rng(0)
+    distance = np.abs(np.arange(7) - 4)
+    maps = 2.4 + 0.5 * rng.random((7, 1, 1)) * np.ones((7, 40, 40))
+    maps[3] = 2.0
+    maps[:, ::2, ::4] = 2.1 + 0.4 * distance[:, None, None]
+    sure = np.full(maps.shape, 0.07)
+    sure[:, ::2, ::4] = 0.7
+    sure[6, :20:4, ::4] = 0.2
+    assert focus_curve(maps).best == (3,)
+    curve = focus_curve(maps, confidence=sure)
+    np.testing.assert_allclose(curve.median_radius, 2.1 + 0.4 * distance)
+    assert curve.best == (4,)
+    everywhere = np.ones(maps.shape, bool)
+    assert focus_curve(maps, in_focus=everywhere, confidence=sure).best == (4,)
+    assert "no confidence" in focus_curve(maps).rests_on
+    assert curve.rests_on == "the 9 to 12% of each plane that are sure"
+
+
+def test_more_that_is_sure_is_not_more_in_focus():
+    maps, sure = SWEEP.copy(), np.full(SWEEP.shape, 0.2)
+    sure[:, :4] = 0.9
+    sure[3, :5] = 0.9
+    masks = np.ones(SWEEP.shape, bool)
+    assert focus_curve(maps, in_focus=masks, confidence=sure).best == (2,)
+
+
 def test_what_is_not_known_does_not_count_and_a_plane_of_it_is_nan():
     maps = SWEEP.copy()
     maps[1] = np.nan

@@ -212,8 +212,9 @@ class StandIn:
         self.restorations.append({"image": image, "blur_map": blur_map, **arguments})
         progress("Taking the blur away", 0.5)
         sharp = np.full((*image.shape[:2], 3)[: image.ndim], 0.25, np.float32)
-        noise_variance = arguments["noise_variance"]
-        return sharp, RestorationFit(noise_variance, arguments["tv_weight"] or 2e-3, self.misfit)
+        left = np.full(image.shape[:2], 0.125, np.float32)
+        weight = arguments["tv_weight"] or 2e-3
+        return sharp, RestorationFit(arguments["noise_variance"], weight, self.misfit, left)
 
     def change_focus(self, image, blur_map, *, progress, **arguments):
         self.refocusings.append({"image": image, "blur_map": blur_map, **arguments})

@@ -6,7 +6,7 @@ from skimage.data import gravel
 
 from napari_defocus import simulate_defocus
 from napari_defocus.widgets.docks.change_focus import ChangeFocusWidget
-from napari_defocus.widgets.docks.single_steps import AllInFocusWidget, MapAndMaskWidget
+from napari_defocus.widgets.docks.defocus import DefocusWidget
 from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs import estimation
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.display
 @pytest.fixture
 def run(viewer, qtbot):
     def start():
-        widget = MapAndMaskWidget(viewer)
+        widget = DefocusWidget(viewer)
         qtbot.addWidget(widget.native)
         return widget, widget.run()
 
@@ -78,12 +78,12 @@ def test_cancel_ends_every_step_at_its_next_report(viewer, run, qtbot, monkeypat
 
 def test_blurred_half_becomes_sharp_and_the_sharp_half_blurred(viewer, qtbot):
     viewer.add_image(half_blurred(96, 128), name="halves")
-    all_in_focus, change_focus = AllInFocusWidget(viewer), ChangeFocusWidget(viewer)
+    defocus, change_focus = DefocusWidget(viewer), ChangeFocusWidget(viewer)
     change_focus.linear_light.value = False
     change_focus.focus.value = 4.0
-    for widget in (all_in_focus, change_focus):
+    for widget, start in ((defocus, defocus.restore), (change_focus, change_focus.run)):
         qtbot.addWidget(widget.native)
-        with qtbot.waitSignal(widget.run().finished):
+        with qtbot.waitSignal(start().finished):
             pass
     before, sharp, refocused = (
         detail(viewer.layers[name].data)

@@ -20,7 +20,7 @@ from napari_defocus.core.checks import (
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.estimation import Estimation, Search, check_search
-from napari_defocus.likelihood.psf_choice import choose_psf
+from napari_defocus.likelihood.psf_choice import choose_psf, is_to_choose
 from napari_defocus.likelihood.shot_noise import ShotNoise, noise_of
 from napari_defocus.psf import AUTO
 from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
@@ -179,7 +179,7 @@ def estimate_candidates(
         from napari_defocus.tiled.candidates import LazyCandidates
 
         planes = tiled_planes(image, roles, intensity_range)
-        if not isinstance(lens, AutomaticPSF):
+        if not is_to_choose(how.psf):
             return LazyCandidates(planes, how, noise_variance, block_size)
         from napari_defocus.tiled.psf_of_planes import psf_of_planes
 
@@ -189,14 +189,14 @@ def estimate_candidates(
         how = replace(how, psf=choice.psf)
         return LazyCandidates(planes, how, noise_variance, block_size, psf_choice=choice)
     picture = how.prepared(image)
-    if not isinstance(lens, AutomaticPSF):
+    if not is_to_choose(how.psf):
         return how.candidates(picture, noise_variance, progress)
     progress("Choosing the lens", 0.0)
     noise = noise_of(picture) if noise_variance is None else noise_variance
     choice = choose_psf(
         [picture],
+        how.psf,
         noise=noise,
-        max_radius=lens.max_radius,
         window=window,
         camera_softness=camera_softness,
     )

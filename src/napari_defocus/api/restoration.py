@@ -12,7 +12,11 @@ from napari_defocus.core.axes import said_axes
 from napari_defocus.core.checks import Linearize, check_block_size
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.psf.families import Disc, PSFFamily
-from napari_defocus.restoration.all_in_focus import Restoration, RestorationFit
+from napari_defocus.restoration.all_in_focus import (
+    Restoration,
+    RestorationFit,
+    TiledRestorationFit,
+)
 from napari_defocus.settings import BLOCK_SIZE, MapSettings, RestorationSettings
 
 Float32 = NDArray[np.float32]
@@ -48,12 +52,31 @@ def restore_all_in_focus(
     tv_weight: float | None = RestorationSettings.tv_weight,
     linearize: Linearize | None = MapSettings.linearize,
     intensity_range: tuple[float, float] | None = None,
-    axes: str | None = None,
+    axes: None = None,
     channel_axis: int | None = None,
     block_size: int = BLOCK_SIZE,
     progress: Progress = silent,
     return_fit: Literal[True],
 ) -> tuple[Float32, RestorationFit]: ...
+
+
+@overload
+def restore_all_in_focus(
+    image: ArrayLike,
+    blur_map: ArrayLike,
+    *,
+    psf: PSFFamily = Disc(),
+    noise_variance: float | None = RestorationSettings.noise_variance,
+    confidence: ArrayLike | None = None,
+    tv_weight: float | None = RestorationSettings.tv_weight,
+    linearize: Linearize | None = MapSettings.linearize,
+    intensity_range: tuple[float, float] | None = None,
+    axes: str,
+    channel_axis: int | None = None,
+    block_size: int = BLOCK_SIZE,
+    progress: Progress = silent,
+    return_fit: Literal[True],
+) -> tuple[Float32, TiledRestorationFit]: ...
 
 
 def restore_all_in_focus(
@@ -71,7 +94,7 @@ def restore_all_in_focus(
     block_size: int = BLOCK_SIZE,
     progress: Progress = silent,
     return_fit: bool = False,
-) -> Float32 | tuple[Float32, RestorationFit]:
+) -> Float32 | tuple[Float32, RestorationFit | TiledRestorationFit]:
     """Take the blur of a map away: minimise (19).
 
     ``sum_x w_x |(h_x * f)[x] - g[x]|^2 + lambda sum_x |grad f[x]|``, the total variation over both
@@ -118,7 +141,7 @@ def restore_all_in_focus(
     progress : callable, optional
         Called as ``progress(step, done)``; an exception from it ends the work.
     return_fit : bool, optional
-        Whether to return how well the picture fits its map, too. Only for one picture in memory.
+        Whether to return how well the picture fits its map, and where it was left as it was, too.
 
     Returns
     -------
@@ -126,8 +149,9 @@ def restore_all_in_focus(
         It has the shape of `image`. Values are in [0, 1], which stands for `intensity_range`, and
         NaN where `image` is NaN or masked. A stack has the axes of its planes first and its
         colours last. It is a dask array if `image` is one.
-    fit : RestorationFit
-        Only with `return_fit`.
+    fit : RestorationFit or TiledRestorationFit
+        Only with `return_fit`. The second is of a stack or a dask array: it says what was left as
+        it was, and no more, as each tile has a noise, a lambda and a misfit of its own.
 
     Raises
     ------
@@ -136,8 +160,7 @@ def restore_all_in_focus(
     ValueError
         If `image` is not a picture (see `estimate_candidates`). If `blur_map` or `confidence` has
         another shape, scales outside the domain, or a confidence outside [0, 1]. If
-        `noise_variance`, `tv_weight` or `linearize` is impossible, or `return_fit` is set for a
-        stack or a dask array.
+        `noise_variance`, `tv_weight` or `linearize` is impossible.
 
     References
     ----------
@@ -156,19 +179,22 @@ def restore_all_in_focus(
     >>> restored = restore_all_in_focus(blurred, radius)
     >>> float(np.abs(blurred - sharp).mean() / np.abs(restored - sharp).mean()) > 2
     True
+
+    With a radius that is far too large, most of the picture would get rings, and is left:
+
+    >>> restored, fit = restore_all_in_focus(blurred, 3 * radius, tv_weight=3e-5, return_fit=True)
+    >>> fit.left_as_it_was.shape, fit.unrestored > 0.3
+    ((80, 80), True)
     """
     how = Restoration(psf, noise_variance, tv_weight, linearize, intensity_range)
     check_block_size(block_size)
     image, roles = arranged_image(image, said_axes(image, axes, channel_axis))
     if roles:
-        if return_fit:
-            raise ValueError(
-                "return_fit is True for a stack or a dask array; it takes one picture in memory"
-            )
         from napari_defocus.tiled.restoration import restore_planes
 
         planes = tiled_planes(image, roles, intensity_range)
-        return restore_planes(planes, blur_map, confidence, how, block_size, progress)
+        made = restore_planes(planes, blur_map, confidence, how, block_size, progress)
+        return made if return_fit else made[0]
     prepared = how.prepared(image)
     restored, fit = how.restored_with_fit(image, prepared, blur_map, confidence, progress)
     return (restored, fit) if return_fit else restored

@@ -11,12 +11,13 @@ from napari_defocus.batch.table import Row
 from napari_defocus.core.picture_remarks import picture_remarks, share_saturated
 from napari_defocus.likelihood.signs import one_direction
 from napari_defocus.pipeline import Measurement
+from napari_defocus.psf.microscope import Microscope
 
 NOTHING_MARKED = "The mask marks nothing in this picture, so no pixel counts."
 
 
 def signs_of_picture(
-    picture: NDArray[Any], found: Measurement, within: NDArray[np.bool_] | None
+    picture: NDArray[Any], found: Measurement, within: NDArray[np.bool_] | None, row: Row
 ) -> Row:
     """Return the columns `share_saturated`, `one_direction` and `careful` of a plane.
 
@@ -27,19 +28,24 @@ def signs_of_picture(
         Of this picture.
     within : (H, W) bool ndarray or None
         What counts.
+    row : dict
+        What is known of the plane so far, such as the size of a pixel.
     """
     candidates = found.candidates
     assert candidates is not None
     counting = picture if within is None else _masked(picture, within)
     marked = within is None or bool(within.any())
     remarks = [*picture_remarks(counting, candidates.window)] if marked else [NOTHING_MARKED]
+    remarks.append(found.doubt or "")
+    if isinstance(found.psf, Microscope):
+        remarks.append(found.psf.remark_on_pixels(row.get("pixel_width_um")) or "")
     strength = candidates.strength
     if strength is not None and within is not None:
         strength = np.where(_at_windows(within, strength.shape), strength, np.float32(0))
     return {
         "share_saturated": share_saturated(counting),
         "one_direction": one_direction(strength, candidates.direction),
-        "careful": " ".join(filter(None, [*remarks, found.doubt])) or None,
+        "careful": " ".join(filter(None, remarks)) or None,
     }
 
 

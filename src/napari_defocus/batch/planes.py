@@ -18,7 +18,15 @@ import napari_defocus
 from napari_defocus.batch.folder import Facts, read_note, write_note
 from napari_defocus.batch.masks_beside import MaskSource
 from napari_defocus.batch.picture_signs import signs_of_picture
-from napari_defocus.batch.table import DONE, FAILED, PixelCounts, Row, count_pixels
+from napari_defocus.batch.table import (
+    DONE,
+    FAILED,
+    LEFT,
+    PixelCounts,
+    Row,
+    count_pixels,
+    defocus_facts,
+)
 from napari_defocus.batch.thumbnails import small_pictures
 from napari_defocus.core.intensity import Limits
 from napari_defocus.core.progress import silent
@@ -47,7 +55,7 @@ from napari_defocus.pipeline import (
     threshold_of_stack,
     used,
 )
-from napari_defocus.restoration.all_in_focus import Restoration
+from napari_defocus.restoration.all_in_focus import Restoration, RestorationFit
 from napari_defocus.settings import BLOCK_SIZE, CONFIDENT, UNKNOWN, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
@@ -256,7 +264,9 @@ def measure_plane(task: PlaneTask) -> Row:
         made = _made_of(found, picture, task, shaping, within)
         _write(task, made, found, picture, within)
         row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan, shaping, within)
-        row |= task.results | signs_of_picture(picture, found, within)
+        if LEFT in made:
+            row[LEFT] = float(made[LEFT].mean())
+        row |= task.results | signs_of_picture(picture, found, within, row)
         write_note(task.row_path, row)
     except Exception as error:
         return failed(task.known, reason(error))
@@ -289,7 +299,8 @@ def _made_of(
     if "mask" in plan.kinds:
         made["mask"] = _masked(found.candidates, picture, shaping, plan, within)
     if "in_focus" in plan.kinds:
-        made["in_focus"] = with_opacity(_restored(found, picture, task), picture)
+        restored, fit = _restored(found, picture, task)
+        made |= {"in_focus": with_opacity(restored, picture), LEFT: fit.left_as_it_was}
     return made
 
 
@@ -305,7 +316,9 @@ def _masked(
     return segment(candidates, picture, shaping, plan.intensity_range, within=within)
 
 
-def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDArray[Any]:
+def _restored(
+    found: Measurement, picture: NDArray[Any], task: PlaneTask
+) -> tuple[NDArray[Any], RestorationFit]:
     """Take away what is safe to take away, as the command for one picture does."""
     plan, settings = task.plan, task.plan.settings.restoration
     noise, limits = settings.noise_variance, None
@@ -315,7 +328,7 @@ def _restored(found: Measurement, picture: NDArray[Any], task: PlaneTask) -> NDA
     elif noise is None:
         noise = found.noise_variance
     safe, how = found.cautious(settings.risk), plan.restoration(found.psf, noise)
-    return restore(picture, safe, found.confidence, how, limits=limits)[0]
+    return restore(picture, safe, found.confidence, how, limits=limits)
 
 
 def _stack_limits(task: PlaneTask) -> Limits:
@@ -343,7 +356,7 @@ def _facts(
     threshold, noise = threshold_in_px(shaping), found.noise_variance
     counts = plan.counts(found.blur_map, found.confidence, mask, threshold, within)
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
-    facts |= {"threshold_px": threshold}
+    facts |= {"threshold_px": threshold} | defocus_facts(facts, found.psf)
     return facts | ({} if found.intensities is None else found.intensities.facts())
 
 

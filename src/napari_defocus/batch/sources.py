@@ -36,7 +36,7 @@ from napari_defocus.batch.thumbnails import remove_small_pictures
 from napari_defocus.core.intensity import needs_limits
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr, part_of
 from napari_defocus.io.open import Source
-from napari_defocus.psf import AUTO
+from napari_defocus.psf import AUTO, is_left_open
 
 FileFormat = Literal["auto", "tiff", "ome-zarr"]
 
@@ -205,7 +205,7 @@ class SourceWork:
     @property
     def _shares_a_lens(self) -> bool:
         """Whether planes have one lens, which is to be found from some of them."""
-        return len(self.planes) > 1 and self.plan.settings.map.psf == AUTO
+        return len(self.planes) > 1 and is_left_open(self.plan.settings.map.psf)
 
     @property
     def _shares_a_threshold(self) -> bool:

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from napari_defocus.batch.blur_histogram import blur_histogram
 from napari_defocus.io.tiff_pixel_size import MICROMETERS
+from napari_defocus.psf.families import PSFFamily
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.settings import CONFIDENT, UNKNOWN
 
 Row = dict[str, Any]
@@ -32,6 +34,11 @@ _RADII = {
     percent: "median_radius_px" if percent == 50 else f"p{percent}_radius_px"
     for percent in PERCENTILES
 }
+_IN_UM = {
+    _RADII[percent]: _RADII[percent].replace("radius_px", "defocus_um") for percent in (5, 50, 95)
+}
+"""Columns in um, of microscopes alone, by those in px."""
+
 RESULTS = ("map", "confidence", "mask", "in_focus", "thumbnail")
 """Columns that say where results are; empty for those that were not asked for."""
 
@@ -43,10 +50,14 @@ BESIDE = ("blur_histogram", "link")
 path of the source from the folder of the table.
 """
 
+LEFT = "share_left_as_it_was"
+"""Column that says which share of a plane was not restored, as it would get rings."""
+
 COLUMNS = (
     *("source", "plane", "status", "error", "width", "height"),
     *_RADII.values(),
-    *("threshold_px", "share_in_focus", "median_confidence", "share_sure", "careful"),
+    *_IN_UM.values(),
+    *("threshold_px", "share_in_focus", "median_confidence", "share_sure", LEFT, "careful"),
     *("median_known_radius_px", "share_saturated", "one_direction", *JUDGED),
     "noise_variance",
     *("intensity_low", "intensity_high", "contrast"),
@@ -150,6 +161,14 @@ def _percentile(counts: NDArray[np.int64], percent: float, step: float) -> float
     if not total[-1]:
         return None
     return step * int(np.searchsorted(total, percent / 100 * total[-1]))
+
+
+def defocus_facts(row: Row, psf: PSFFamily) -> Row:
+    """Return what a row says in um, if a microscope took its picture."""
+    if not isinstance(psf, Microscope):
+        return {}
+    known = {um: row[px] for px, um in _IN_UM.items()}
+    return {um: None if px is None else psf.defocus_um(px) for um, px in known.items()}
 
 
 def source_facts(source: str, pixel_size: Mapping[str, float], units: Mapping[str, str]) -> Row:

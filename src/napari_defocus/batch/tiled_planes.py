@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
-from napari_defocus.batch.table import DONE, PixelCounts, Row
+from napari_defocus.batch.table import DONE, LEFT, PixelCounts, Row, defocus_facts
 from napari_defocus.batch.tile_thumbnails import small_pictures_of_tiles, tile_sample
 from napari_defocus.core.picture_remarks import brightest_pixels
 from napari_defocus.core.progress import silent
@@ -41,6 +41,8 @@ class TileNote:
     counts: PixelCounts
     noise: Row
     brightest: tuple[float, int, int]
+    left: float | None = None
+    """Share left as it was; None if it was not restored."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,10 @@ class TiledPlane:
         if self.error is not None:
             return failed(known, self.error)
         counts = reduce(add, (note.counts for note in self.notes))
-        row = known | {"status": DONE} | counts.facts() | self.notes[0].noise | self.task.results
+        facts = counts.facts()
+        facts |= defocus_facts(facts, self.task.plan.settings.map.family())
+        row = known | {"status": DONE} | facts | self.notes[0].noise | self.task.results
+        row[LEFT] = _share_left(self.notes)
         row["share_saturated"] = self._share_saturated()
         if not self._write_thumbnail():
             row.pop("thumbnail", None)
@@ -162,13 +167,15 @@ class TiledPlane:
         if restoration is not None:
             noise = restoration.noise_variance
             how = plan.restoration(lazy.psf, settings.noise_variance if noise is None else noise)
-            found["in_focus"] = napari_defocus.restore_all_in_focus(
+            found["in_focus"], fit = napari_defocus.restore_all_in_focus(
                 plane,
                 found.pop("cautious"),
                 **vars(how),
                 confidence=found["confidence"],
                 block_size=block_size,
+                return_fit=True,
             )
+            found[LEFT] = fit.left_as_it_was
         return found, lazy.noise(()), threshold
 
     def _within(self) -> Any:
@@ -194,7 +201,8 @@ def _finished(tile: _TileTask) -> TileNote | None:
     if known is None or not all(t.has((*tile.index, *tile.region)) for t in tile.targets):
         return None
     counts = PixelCounts.of_note(known["counts"])
-    return TileNote(_px(tile.region), counts, known["noise"], tuple(known["brightest"]))
+    brightest = tuple(known["brightest"])
+    return TileNote(_px(tile.region), counts, known["noise"], brightest, known.get(LEFT))
 
 
 def _write(
@@ -216,8 +224,10 @@ def _write(
     brightest = brightest_pixels(found["picture"])
     if plan.thumbnails:
         write_results({tile.sample: _sample(tile, found)}, force=True)
-    write_note(tile.note, {"counts": counts.note(), "noise": known, "brightest": brightest})
-    return TileNote(_px(tile.region), counts, known, brightest)
+    left = float(found[LEFT].mean()) if LEFT in found else None
+    note = {"counts": counts.note(), "noise": known, "brightest": brightest, LEFT: left}
+    write_note(tile.note, note)
+    return TileNote(_px(tile.region), counts, known, brightest, left)
 
 
 def _sample(tile: _TileTask, found: dict[str, NDArray[Any]]) -> bytes:
@@ -225,3 +235,13 @@ def _sample(tile: _TileTask, found: dict[str, NDArray[Any]]) -> bytes:
     if "within" in found:
         known &= found["within"] != 0
     return tile_sample(tile.region, tile.plane_shape, found["picture"], found["blur_map"], known)
+
+
+def _share_left(notes: list[TileNote]) -> float | None:
+    """Return the share of a plane that was left as it was; None if it was not restored."""
+    shares = [note.left for note in notes if note.left is not None]
+    if len(shares) < len(notes):
+        return None
+    return sum(note.px * share for note, share in zip(notes, shares, strict=True)) / sum(
+        note.px for note in notes
+    )

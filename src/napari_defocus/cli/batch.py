@@ -125,11 +125,11 @@ def batch(
     from napari_defocus.batch.masks_beside import masks_of
     from napari_defocus.io.open import find_sources
 
-    sources = find_sources(inputs)  # what is not there is told before workers start
+    pictures = find_sources(inputs)  # what is not there is told before workers start
     if within is not None:
-        masks_of(sources, within)
+        masks_of(pictures, within)
     limits = flagging.limits()
-    restoration, map_settings = restoring.settings(), measuring.settings()
+    restoration, map_settings = restoring.settings(), measuring.settings(*pictures)
     mask_settings = _mask_settings(settings_file, threshold, unknown)
     settings = napari_defocus.Settings(
         map=map_settings, mask=mask_settings, restoration=restoration

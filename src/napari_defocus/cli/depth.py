@@ -81,7 +81,7 @@ def depth(
     from napari_defocus.io.encoders import depth_png, depth_tiff
 
     outputs = output or beside(image, "-depth.tif", "-depth.png")
-    settings = measuring.settings()
+    settings = measuring.settings(image)
     check_confidence("min_confidence", min_confidence)
     if min_confidence > 0 and measuring.known_map and not measuring.map_confidence:
         raise ValueError(f"min_confidence is {min_confidence}; with map it needs map_confidence")
@@ -92,7 +92,7 @@ def depth(
     found = measuring.find(picture, settings, progress)
     trusted = found.trusted(min_confidence)
     distance = napari_defocus.depth_from_blur(trusted, lens, side=side)
-    facts = lens_facts(lens, thin_lens) | {"side": side}
+    facts = lens_facts(image, lens, thin_lens) | {"side": side}
     made_with = used(found, settings) | facts | {"min_confidence": min_confidence}
     contents = encoded(
         outputs,

@@ -7,6 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from napari_defocus.cli.microscope import (
+    defocus_facts,
+    defocus_lines,
+    microscope_of,
+    remarks_on_pixels,
+)
 from napari_defocus.pipeline import Measurement
 from napari_defocus.psf import AUTO
 from napari_defocus.settings import CONFIDENT, UNKNOWN, MapSettings, MaskSettings
@@ -34,13 +40,16 @@ def picture_facts(
     from napari_defocus.core.picture_remarks import picture_remarks
 
     variance, intensities = found.noise_variance, found.intensities
+    remarks = picture_remarks(picture, settings.window)
+    if isinstance(found, Measurement):
+        remarks = [*remarks, *remarks_on_pixels(image, found)]
     levels = 255.0 if intensities is None else intensities.grey_levels
     return {
         **file_of_picture(image, found.image_shape),
         "psf": settings.settled(found.psf).psf,
         "psf_choice": found.psf_choice and found.psf_choice.facts(),
         "doubt": found.doubt,
-        "picture_remarks": picture_remarks(picture, settings.window),
+        "picture_remarks": remarks,
         "scale": found.psf.scale_name,
         "camera_softness": settings.camera_softness if settings.mode == "curve" else 0.0,
         "noise_variance": variance,
@@ -76,6 +85,7 @@ def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]
         "blur_p95_px": float(high),
         "left_out_percent": 100.0 * float(np.isnan(found.trusted(min_confidence)).mean()),
     }
+    facts |= defocus_facts(microscope_of(found), facts)
     if found.confidence is not None:
         facts["confidence_median"] = float(np.median(found.confidence))
         facts["confident_percent"] = 100.0 * float((found.confidence >= CONFIDENT).mean())
@@ -154,6 +164,7 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
             f"blur         median {facts['blur_median_px']:.1f} px, "
             f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
         )
+    yield from defocus_lines(facts)
     if "confidence_median" in facts:
         yield (
             f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "

@@ -59,7 +59,7 @@ def explain(
     from napari_defocus.likelihood.candidates import check_place
 
     outputs, files = [output] if output else [], Files(force=force)
-    settings, intensity_range = measuring.settings(), measuring.intensity_range
+    settings, intensity_range = measuring.settings(image), measuring.intensity_range
     check_endings(outputs, ".png")
     picture = files.read(image, outputs)
     height, width = picture.shape[:2]

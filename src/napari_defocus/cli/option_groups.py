@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_type_hints
 
+from napari_defocus.cli.microscope import microscope_text
 from napari_defocus.cli.options import SHARED, Entry, entries_in, shown
 from napari_defocus.core.checks import Linearize, Mode
 from napari_defocus.core.progress import Progress
@@ -44,18 +45,33 @@ class EvidenceOptions(OptionGroup):
     linearize: Linearize | None = MapSettings.linearize
     camera_softness: float = MapSettings.camera_softness
     intensity_range: tuple[float, float] | None = None
+    numerical_aperture: float | None = None
+    wavelength: float | None = None
+    immersion: str | None = None
+    pixel_size: float | None = None
 
-    def settings(self) -> MapSettings:
-        """Return the settings that are asked for, checked."""
+    def settings(self, *pictures: Path) -> MapSettings:
+        """Return the settings that are asked for, checked; pictures may note a microscope."""
         asked = {each.name for each in fields(self)} & {each.name for each in fields(MapSettings)}
         values = {name: getattr(self, name) for name in asked}
-        settings = MapSettings(**values | {"psf": self.lens()})
+        psf = microscope_text(self.lens(), self._microscope, pictures)
+        settings = MapSettings(**values | {"psf": psf})
         settings.family()
         return settings
 
     def lens(self) -> str:
         """Return what stands for the PSF."""
         return self.psf
+
+    @property
+    def _microscope(self) -> dict[str, Any]:
+        """What is given of a microscope, by the names of `Microscope`."""
+        return {
+            "numerical_aperture": self.numerical_aperture,
+            "wavelength_um": self.wavelength,
+            "pixel_size_um": self.pixel_size,
+            "refractive_index": self.immersion,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -72,8 +72,18 @@ image IMAGE
     (.svs, .ndpi, .scn, .qptiff and the like), the largest level is read.
 psf TEXT
     The shape that the lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION,
-    gaussian, generalized-gaussian:EXPONENT, or the .npz file that calibrate wrote. auto lets the
-    picture choose, and says what it chose.
+    gaussian, generalized-gaussian:EXPONENT, microscope, or the .npz file that calibrate wrote. auto
+    lets the picture choose, and says what it chose. microscope takes the options below, or
+    microscope:NA:WAVELENGTH:PIXEL:INDEX in um, and tells the defocus in um, too.
+numerical_aperture NA
+    Numerical aperture of a microscope's objective. What is not given of the microscope is read from
+    IMAGE (OME-TIFF, OME-Zarr).
+wavelength UM
+    Wavelength of the light in um: 0.52 for green. In fluorescence, that of emission.
+immersion NAME|INDEX
+    What is between objective and specimen: air, water, glycerol, oil, or a refractive index.
+pixel_size UM
+    Distance of the pixels of IMAGE in the specimen, in um.
 noise_variance NUMBER
     Variance of the noise in the luminance, for intensities from 0 to 1. If left out, it is found
     from the picture.
@@ -131,8 +141,10 @@ focus_distance M
     Distance, in m, that the lens was focused at when the picture was taken; inf for infinitely
     far. Few cameras note it.
 pixel_pitch UM
-    How far the pixels of IMAGE are apart on the sensor, in um: twice the sensor's pitch if IMAGE
-    was scaled down to a half.
+    How far the pixels of IMAGE are apart on the sensor, in um: 1000 x the sensor's width in mm /
+    the width of IMAGE in px, if nothing was cropped. Sensors are 36 mm wide (full frame), 23.5 mm
+    (APS-C), 17.3 mm (Four Thirds), 5 to 10 mm (phones). If left out, it is what IMAGE notes, and
+    the line thin lens says where from.
 side
     Where the blurred things are: beyond the plane in focus (far) or before it (near). One picture
     cannot tell.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,13 +12,12 @@ from napari_defocus.cli.command import Facts, command, last_lines
 from napari_defocus.cli.description import lines_of, map_facts, picture_facts
 from napari_defocus.cli.option_groups import MapOrFileOptions, RestorationOptions
 from napari_defocus.cli.options import Encoding
-from napari_defocus.cli.results import Files, beside, check_endings, encoded
+from napari_defocus.cli.results import Files, beside, check_endings, encoded, encoded_left
 from napari_defocus.cli.thin_lens import (
     LensOptions,
-    check_side,
-    lens_facts,
+    check_change,
+    focus_facts,
     lens_line,
-    lens_of,
     side_line,
 )
 from napari_defocus.core.checks import Linearize, Side
@@ -45,6 +43,12 @@ output -o PATH
     (.tif). Can be given twice. [default: NAME-{}.png beside IMAGE]
 """
 
+
+_LEFT = """
+left_as_it_was PATH
+    Where to write how far each pixel was left as it was, because it would get rings: values from 0,
+    restored, to 1 (.tif) or a drawing (.png).
+"""
 
 _LEAST_PERCENT = 0.5
 """Of the picture: less is not worth a line."""
@@ -86,13 +90,14 @@ def _refocused_lines(facts: Facts) -> Iterator[str]:
     yield from last_lines(facts)
 
 
-@command(_restored_lines, _OUTPUTS.format("in-focus"))
+@command(_restored_lines, _OUTPUTS.format("in-focus") + _LEFT)
 def restore(
     image: Path,
     *,
     restoring: RestorationOptions,
     measuring: MapOrFileOptions,
     output: list[Path] | None = None,
+    left_as_it_was: Path | None = None,
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -100,10 +105,12 @@ def restore(
     from napari_defocus.io.provenance import ALL_IN_FOCUS
 
     outputs = output or beside(image, "-in-focus.png")
-    settings, asked = measuring.settings(), restoring.settings()
+    settings, asked = measuring.settings(image), restoring.settings()
     intensity_range = measuring.intensity_range
-    check_endings(outputs, ".png", ".tif", ".tiff")
-    picture = files.read(image, outputs, *measuring.files)
+    lefts = [left_as_it_was] if left_as_it_was else []
+    written = [*outputs, *lefts]
+    check_endings(written, ".png", ".tif", ".tiff")
+    picture = files.read(image, written, *measuring.files)
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
     if found.intensities is None:
@@ -113,10 +120,11 @@ def restore(
     )
     found = replace(found, noise_variance=fit.noise_variance)
     shaping = {"tv_weight": fit.tv_weight, "misfit": fit.misfit, "unrestored": fit.unrestored}
-    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, written, found, settings) | file_facts(found)
     facts |= map_facts(found) | shaping
     made_with = used(found, settings) | shaping | {"risk": asked.risk}
     contents = _encoded(outputs, sharp, picture, ALL_IN_FOCUS, made_with)
+    contents |= encoded_left(lefts, fit, made_with)
     files.write(contents, "restore", map=settings, restoration=asked)
     return facts
 
@@ -124,6 +132,7 @@ def restore(
 @command(
     _refocused_lines,
     _OUTPUTS.format("refocused")
+    + _LEFT
     + f"""
 focus PX
     Make sharp what is blurred by so many px, in the scale of --psf and the map. A negative number
@@ -154,6 +163,7 @@ def refocus(
     restoring: RestorationOptions,
     measuring: MapOrFileOptions,
     output: list[Path] | None = None,
+    left_as_it_was: Path | None = None,
     files: Files,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -164,12 +174,14 @@ def refocus(
     from napari_defocus.io.provenance import REFOCUSED
 
     outputs = output or beside(image, "-refocused.png")
-    settings, asked = measuring.settings(), restoring.settings()
+    settings, asked = measuring.settings(image), restoring.settings()
     intensity_range = measuring.intensity_range
-    _check_change(focus, sharp_at, aperture, thin_lens)
-    check_endings(outputs, ".png", ".tif", ".tiff")
-    picture = files.read(image, outputs, *measuring.files)
-    change = _focus_facts(image, focus, sharp_at, side, thin_lens)
+    check_change(focus, sharp_at, aperture, thin_lens)
+    lefts = [left_as_it_was] if left_as_it_was else []
+    written = [*outputs, *lefts]
+    check_endings(written, ".png", ".tif", ".tiff")
+    picture = files.read(image, written, *measuring.files)
+    change = focus_facts(image, focus, sharp_at, side, thin_lens)
     change |= {"aperture": aperture, "side": side, "encoding": encoding}
     first, second = _shares(progress)
     found = measuring.find(picture, settings, first)
@@ -193,9 +205,11 @@ def refocus(
         intensity_range=intensity_range,
         progress=within(second, _RESTORING_SHARE, 1.0),
     )
-    contents = _encoded(outputs, changed, picture, REFOCUSED, used(found, settings) | change)
+    made_with = used(found, settings) | change
+    contents = _encoded(outputs, changed, picture, REFOCUSED, made_with)
+    contents |= encoded_left(lefts, fit, made_with)
     files.write(contents, "refocus", map=settings, restoration=asked, refocus=view)
-    facts = picture_facts(image, picture, outputs, found, settings) | file_facts(found)
+    facts = picture_facts(image, picture, written, found, settings) | file_facts(found)
     return facts | map_facts(found) | change
 
 
@@ -242,47 +256,6 @@ def _encoded(
         outputs,
         lambda: picture_png(shown, picture, quantity),
         lambda: picture_tiff(shown, quantity, made_with),
-    )
-
-
-def _check_change(
-    focus: float | None, sharp_at: float | None, aperture: float, thin_lens: LensOptions
-) -> None:
-    """Check what shall change, as far as that goes without the lens."""
-    if focus is not None and sharp_at is not None:
-        raise ValueError(f"focus is {focus} and sharp_at is {sharp_at}; one of them is enough")
-    if sharp_at is None:
-        for name, value in thin_lens.given.items():
-            if value is not None:
-                raise ValueError(f"{name} is {value}, but only sharp_at takes a lens")
-        if focus in (None, RefocusSettings.focus) and aperture == RefocusSettings.aperture:
-            raise ValueError("nothing would change; give --focus, --sharp-at or --aperture")
-    elif not sharp_at > 0:
-        raise ValueError(f"sharp_at is {sharp_at}; it takes a distance above 0 m")
-    RefocusSettings(focus=focus or 0.0, aperture=aperture)
-
-
-def _focus_facts(
-    image: Path,
-    focus: float | None,
-    sharp_at: float | None,
-    side: Side,
-    thin_lens: LensOptions,
-) -> dict[str, Any]:
-    """Return the blur of what shall be sharp, and how it was found."""
-    if sharp_at is None:
-        return {"focus_px": RefocusSettings.focus if focus is None else focus}
-    lens = lens_of(image, thin_lens)
-    check_side(side, lens)
-    blur = float(napari_defocus.blur_from_depth(sharp_at, lens))
-    if not math.isfinite(blur):
-        raise ValueError(f"sharp_at is {sharp_at}; nothing so near can be made sharp")
-    beyond = sharp_at > lens.focus_distance_m
-    told = {"sharp_at_m": sharp_at if math.isfinite(sharp_at) else "inf"}
-    return (
-        {"focus_px": blur if beyond == (side == "far") else -blur}
-        | told
-        | lens_facts(lens, thin_lens)
     )
 
 

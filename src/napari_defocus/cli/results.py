@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import napari_defocus
+from napari_defocus.cli.microscope import microscope_of
 from napari_defocus.cli.option_groups import OptionGroup
 from napari_defocus.cli.settings_options import saved_settings
 from napari_defocus.pipeline import Measurement, used
@@ -15,6 +16,8 @@ from napari_defocus.settings import MapSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from napari_defocus.restoration.all_in_focus import RestorationFit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,16 +89,46 @@ def encoded_maps(
     from napari_defocus.io import encoders
 
     trusted, psf, made_with = found.trusted(min_confidence), found.psf, used(found, settings)
+    lens = microscope_of(found)
+    um_per_px = None if lens is None else lens.defocus_um(1.0)
     confidence, shaping = found.confidence, made_with | {"min_confidence": min_confidence}
     assert confidence is not None
     return encoded(
         maps,
-        lambda: encoders.blur_map_png(trusted, None, psf.scale_name, min_confidence),
+        lambda: encoders.blur_map_png(trusted, None, psf.scale_name, min_confidence, um_per_px),
         lambda: encoders.blur_map_tiff(trusted, shaping, psf.scale_name),
     ) | encoded(
         confidences,
         lambda: encoders.confidence_png(confidence),
         lambda: encoders.confidence_tiff(confidence, made_with),
+    )
+
+
+def encoded_defocus(
+    outputs: list[Path], found: Measurement, settings: MapSettings, min_confidence: float = 0.0
+) -> dict[Path, bytes]:
+    """Return what the files of the defocus in um hold, of a map that a microscope measured."""
+    from napari_defocus.io.encoders import defocus_tiff
+
+    lens = microscope_of(found)
+    if lens is None:
+        return {}
+    made_with = used(found, settings) | {"min_confidence": min_confidence}
+    contents = defocus_tiff(lens.defocus_um(found.trusted(min_confidence)), made_with)
+    return dict.fromkeys(outputs, contents)
+
+
+def encoded_left(
+    lefts: list[Path], fit: RestorationFit, made_with: Mapping[str, Any]
+) -> dict[Path, bytes]:
+    """Return what the files hold that say how far a restored picture was left as it was."""
+    from napari_defocus.io import encoders
+
+    left = fit.left_as_it_was
+    return encoded(
+        lefts,
+        lambda: encoders.left_as_it_was_png(left),
+        lambda: encoders.left_as_it_was_tiff(left, made_with),
     )
 
 

@@ -87,7 +87,7 @@ def segment_picture(
         [path] if path else [] for path in (output, overlay, alpha, regions)
     )
     outputs = [*masks, *overlays, *alphas, *tables]
-    settings, intensity_range = measuring.settings(), measuring.intensity_range
+    settings, intensity_range = measuring.settings(image), measuring.intensity_range
     mask_settings = MaskSettings(
         threshold=said_threshold(threshold),
         smoothness=smoothness,

@@ -45,6 +45,7 @@ def _lines(facts: Facts) -> Iterator[str]:
     else:
         yield f"blur         grows by {facts['px_per_plane']:.2f} px from plane to plane"
     yield _sharpest_planes(facts["share_of_plane"])
+    yield from _height_lines(facts)
     yield (
         f"confidence   {CONFIDENT:g} or more on {facts['confident_percent']:.1f} % of the picture"
     )
@@ -76,6 +77,11 @@ def _sharpest_planes(shares: Sequence[float]) -> str:
     position PATH
         Where to write the position of best focus of every pixel (.tif): planes from 0, and parts of
         planes.
+    height PATH
+        Where to write the height of best focus above the first plane, in um (.tif).
+    z_step UM
+        How far planes are apart, in um; negative if they go down. It is read from STACK if left
+        out.
     confidence PATH
         Where to write how sure the positions are (.tif): the probability that each is right to half
         a plane.
@@ -124,6 +130,8 @@ def sharpest(
     intensity_range: tuple[float, float] | None = None,
     output: Path | None = None,
     position: Path | None = None,
+    height: Path | None = None,
+    z_step: float | None = None,
     confidence: Path | None = None,
     all_channels: Path | None = None,
     force: bool = False,
@@ -146,7 +154,7 @@ def sharpest(
     family = MapSettings(psf=psf, max_radius=max_radius, **shaping).family()
     if psf == AUTO:
         raise ValueError("psf is 'auto', which works for maps only; it takes a lens such as disc")
-    pictures = (output, position, confidence, all_channels)
+    pictures = (output, position, height, confidence, all_channels)
     check_endings([path for path in pictures if path], ".tif", ".tiff")
     if save_alignment is not None:
         check_endings([save_alignment], ".json")
@@ -154,7 +162,7 @@ def sharpest(
     source = open_stack(stack)
     if all_channels is not None and "c" not in source.axes:
         raise ValueError(f"--all-channels: {source.path} has no channels")
-    wanted = (output or _usual_output(source), position, confidence)
+    wanted = (output or _usual_output(source), position, confidence, height)
     outputs = [path for path in (*wanted, all_channels, save_alignment) if path]
     focus = focus_axis(
         source.data.shape,
@@ -164,6 +172,8 @@ def sharpest(
         name=str(source.path),
         said=lambda argument: f"--{argument}",
     )
+    step = _z_step_um(source, focus.letter) if z_step is None else z_step
+    _check_step(step, height, source)
     for path in source.files:
         check_results(outputs, force=force, source=path)
     found = napari_defocus.sharpest_plane(
@@ -183,9 +193,10 @@ def sharpest(
     )
     facts = _facts(source, found, outputs) | {"channel": channel, "time": time}
     facts |= {"focus_axis": focus.letter, "focus_note": focus.note}
+    facts |= _height_facts(found, step)
     told = facts | {"psf": psf, "smoothness": smoothness}
     names = ("image", "channel", "time", "psf", "smoothness", "px_per_plane")
-    _write(wanted, source, found, {name: told[name] for name in names}, force)
+    _write(wanted, source, found, {name: told[name] for name in names}, force, step)
     if all_channels is not None:
         at = {"time": time, "blend": composite == "blended", "psf": family}
         _write_channels(all_channels, source, found, at, force, within(progress, 0.7, 1.0))
@@ -195,6 +206,47 @@ def sharpest(
         )
         laid.save(save_alignment, force=force)
     return facts
+
+
+def _z_step_um(source: Source, axis: str) -> float | None:
+    """Return how far the planes of a stack are apart in um, if it notes that."""
+    from napari_defocus.io.tiff_pixel_size import MICROMETERS
+
+    unit = MICROMETERS.get(source.units.get(axis, ""))
+    return None if unit is None or axis not in source.pixel_size else source.pixel_size[axis] * unit
+
+
+def _check_step(step: float | None, height: Path | None, source: Source) -> None:
+    """Refuse heights without a step before any long work."""
+    import math
+
+    if step is None and height is not None:
+        raise ValueError(
+            f"height is {height}, but {source.path} does not note how far its planes are apart; "
+            "give --z-step in um"
+        )
+    if step is not None and not 0 < abs(step) < math.inf:
+        raise ValueError(f"z_step is {step}; it takes a finite number of um, not 0")
+
+
+def _height_facts(found: SharpestPlane, step: float | None) -> dict[str, Any]:
+    """Return what is told of heights, in um above the first plane; None if no step is known."""
+    import numpy as np
+
+    if step is None:
+        return {"z_step_um": None}
+    low, median, high = np.percentile(found.height_um(step), [5, 50, 95])
+    heights = {"height_p5_um": low, "height_median_um": median, "height_p95_um": high}
+    return {"z_step_um": step} | {name: float(value) for name, value in heights.items()}
+
+
+def _height_lines(facts: Facts) -> Iterator[str]:
+    if facts["z_step_um"] is not None:
+        low, median, high = (facts[f"height_{name}_um"] for name in ("p5", "median", "p95"))
+        yield (
+            f"height       median {median:.4g} um above plane 0, 5 to 95 % of the picture: "
+            f"{low:.4g} to {high:.4g} um; planes {facts['z_step_um']:.4g} um apart"
+        )
 
 
 def _given_alignment(path: Path | None, align: Choice) -> Align:
@@ -249,12 +301,14 @@ def _write(
     found: SharpestPlane,
     made_with: dict[str, Any],
     force: bool,
+    step: float | None,
 ) -> None:
     colors = "s" if source.axes.endswith("s") else ""
     results = (
         (found.composite, f"yx{colors}", SHARPEST_PIXELS, ""),
         (found.position, "yx", "position of best focus", "planes"),
         (found.confidence, "yx", "confidence of the position", ""),
+        (None if step is None else found.height_um(step), "yx", "height of best focus", "um"),
     )
     for path, (values, axes, quantity, unit) in zip(outputs, results, strict=True):
         if path is not None:

@@ -86,12 +86,22 @@ def confidence_tiff(
     return _tiff(confidence, what, settings, made, pixel_size)
 
 
+def left_as_it_was_tiff(left: ArrayLike, settings: Mapping[str, Any]) -> bytes:
+    """Encode how far a picture was left as it was, (H, W) in [0, 1], as `confidence_tiff` does."""
+    return _tiff(left, {"quantity": "share left as it was", "unit": "1"}, settings)
+
+
 def depth_tiff(depth: ArrayLike, settings: Mapping[str, Any]) -> bytes:
     """Encode distances, (H, W) in m, as a float32 TIFF file like `blur_map_tiff`.
 
     They are infinite where the blur is more than any distance has, NaN where not trusted.
     """
     return _tiff(depth, {"quantity": "distance from the lens", "unit": "m"}, settings)
+
+
+def defocus_tiff(defocus_um: ArrayLike, settings: Mapping[str, Any]) -> bytes:
+    """Encode a microscope's defocus, (H, W) in um, as a float32 TIFF file like `blur_map_tiff`."""
+    return _tiff(defocus_um, {"quantity": "distance from the focus", "unit": "um"}, settings)
 
 
 def picture_tiff(picture: ArrayLike, quantity: str, settings: Mapping[str, Any]) -> bytes:
@@ -200,14 +210,17 @@ def holds(description: Mapping[str, Any]) -> str | None:
 
 
 def check_unit(description: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
-    """Refuse a map from before all lenses had one unit: its px would be read wrongly.
+    """Refuse what is no map in px, and maps from before all lenses had one unit.
 
     Raises
     ------
     ValueError
         If the description says so.
     """
-    scale = description.get("scale")
+    scale, unit = description.get("scale"), description.get("unit", "px")
+    if unit != "px":
+        what = description.get("quantity")
+        raise ValueError(f"{path} holds a {what} in {unit}; it takes a blur map in px")
     if scale in _EARLIER_UNITS:
         raise ValueError(
             f"{path} holds the {scale} of its lens, as early versions wrote it; it takes the "
@@ -245,8 +258,11 @@ def blur_map_png(
     max_scale: float | None = None,
     scale_name: str = BLUR_RADIUS,
     min_confidence: float = 0.0,
+    um_per_px: float | None = None,
 ) -> bytes:
     """Draw a blur map, (H, W) in px, in colour, with a colour bar, as a PNG file.
+
+    With `um_per_px`, the defocus in um for a blur of 1 px, the bar has um on its other side.
 
     The bar ends at 0 px and `max_scale`, by default that of `color_limit`. NaN, where the map is
     not trusted, is grey; below which confidence that is, is told if it is above 0. A pixel of the
@@ -256,7 +272,12 @@ def blur_map_png(
     values = np.asarray(blur_map)
     limit = color_limit(values) if max_scale is None else max_scale
     return _drawing(
-        values, COLOR_MAP, (0.0, limit), f"blur {scale_name.removeprefix('blur ')}", note
+        values,
+        COLOR_MAP,
+        (0.0, limit),
+        f"blur {scale_name.removeprefix('blur ')}",
+        note,
+        other=None if um_per_px is None else ("defocus (um)", um_per_px),
     )
 
 
@@ -287,6 +308,11 @@ def confidence_png(confidence: ArrayLike) -> bytes:
     return _drawing(confidence, "gray", (0.0, 1.0), "confidence")
 
 
+def left_as_it_was_png(left: ArrayLike) -> bytes:
+    """Draw how far a picture was left as it was, (H, W) in [0, 1], as `confidence_png` does."""
+    return _drawing(left, "gray", (0.0, 1.0), "left as it was")
+
+
 def _drawing(
     values: ArrayLike,
     color_map: str,
@@ -294,8 +320,12 @@ def _drawing(
     label: str,
     note: str = "",
     beyond: tuple[float, float, float] | None = None,
+    other: tuple[str, float] | None = None,
 ) -> bytes:
-    """Draw values with a colour bar, NaN grey; `beyond` is the colour above its upper end."""
+    """Draw values with a colour bar, NaN grey; `beyond` is the colour above its upper end.
+
+    `other` is the label of a second unit, and what one of the first is in it.
+    """
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
@@ -303,15 +333,21 @@ def _drawing(
     width, height = _shown_size(*shown.shape)
     height, margin, bar_room, dpi = max(height, 240), 20, 100, 100
     note_room = 20 * len(note.splitlines())
-    across, up = width + bar_room + 2 * margin, height + note_room + 2 * margin
+    other_room = 0 if other is None else 60
+    across, up = width + other_room + bar_room + 2 * margin, height + note_room + 2 * margin
     figure = Figure(figsize=(across / dpi, up / dpi), dpi=dpi)
     bottom, tall = (margin + note_room) / up, height / up
     map_axes = figure.add_axes((margin / across, bottom, width / across, tall))
-    bar_axes = figure.add_axes(((width + 2 * margin) / across, bottom, margin / across, tall))
+    left = width + other_room + 2 * margin
+    bar_axes = figure.add_axes((left / across, bottom, margin / across, tall))
     colors = colormaps[color_map].with_extremes(bad=NOT_TRUSTED_COLOR, over=beyond)
     drawn = map_axes.imshow(shown, cmap=colors, vmin=ends[0], vmax=ends[1])
     map_axes.set_axis_off()
     figure.colorbar(drawn, cax=bar_axes, label=label, extend="max" if beyond else "neither")
+    if other is not None:
+        second, factor = other
+        of_second = (lambda value: value * factor, lambda value: value / factor)
+        bar_axes.secondary_yaxis("left", functions=of_second).set_ylabel(second)
     figure.text(margin / across, margin / 2 / up, note)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.checks import check_weights
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.labeling.blurred_edges import less_at_blurred_edges
 from napari_defocus.labeling.confidence import checked_map
 from napari_defocus.labeling.continuous_refinement import refine_labels
 from napari_defocus.labeling.data_term import EXTRAPOLATED
@@ -21,7 +22,7 @@ from napari_defocus.labeling.graph_cuts import (
     minimize_energy,
     minimize_energy_from,
 )
-from napari_defocus.labeling.multigrid import coarser
+from napari_defocus.labeling.multigrid import HALF, coarser
 from napari_defocus.labeling.pixel_refinement import (
     energy_of_pixels,
     interpolate_labels,
@@ -103,7 +104,7 @@ def labeled_blur_map(
     scales = axis[labels]
     if candidates.mode == "curve":
         pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
-        likeness = weights / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
+        likeness = weights[:HALF] / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
         own = None if around is None else around.own
         scales = refine_labels(
             candidates, labels, likeness, JUMP, smoothness, own, within(progress, 0.9, 1.0)
@@ -118,7 +119,11 @@ def _problem_of_blocks(
     """Return D of (14) for a pixel at each window and for its block, and the blocks' weights."""
     cost = problem.cost(CURVE_WEIGHT)
     sigma = problem.sigma(settings.color_sigma)
-    weights = problem.blocks.edge_weights(problem.color, sigma, settings.smoothness)
+    blocks, color = problem.blocks, problem.color
+    weights = blocks.edge_weights(color, sigma, settings.smoothness)
+    if problem.candidates.mode == "curve":
+        beyond = less_at_blurred_edges(weights, color, blocks, sigma)
+        weights = np.concatenate([weights, beyond])
     return cost, cost * problem.block_weight[..., None], weights
 
 

@@ -1,7 +1,8 @@
 """Labels of low energy on a grid of nodes, by moves that are minimum cuts.
 
 The energy is (14): sum_x D_x(l_x) + sum_(x, v) w_xv |l_x - l_v|, over the 8 neighbours of each
-node. Two kinds of minimum cuts change many labels at once:
+node. |l - m| counts the thresholds between two labels, and those beyond the label `WIDE` may have
+weights of their own. Two kinds of minimum cuts change many labels at once:
 
 - a fusion offers every node one other label, any label, and is a plain minimum cut, because
   |a - b| is submodular in "the node has the larger of its two labels"; it is an expansion if all
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.labeling.multigrid import STEPS, coarser, finer
+from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, coarser, finer
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
@@ -96,8 +97,9 @@ def minimize_energy(
     ----------
     data : (R, C, L) float32 ndarray
         D, the cost of each label at each node.
-    weights : (4, R, C) float32 ndarray
-        w between a node and its neighbour at each of `STEPS`; 0 where there is none.
+    weights : (4, R, C) or (8, R, C) float32 ndarray
+        w between a node and its neighbour at each of `STEPS`; 0 where there is none. If there are
+        eight, the last four are those of differences beyond the label `WIDE`.
     progress : callable, optional
     coarse : bool, optional
         Stop before the finest grid: two by two nodes have a label in common.
@@ -167,20 +169,22 @@ def minimize_energy_from(
 def _coarse_start(data: Float32, weights: Float32) -> Labels:
     """Find the labels of least energy among every fourth: they decide about whole regions."""
     every = np.ascontiguousarray(data[..., ::_COARSE_STEP])
-    return _COARSE_STEP * solve_exactly(every, weights * np.float32(_COARSE_STEP))
+    weights = weights * np.float32(_COARSE_STEP)
+    return _COARSE_STEP * solve_exactly(every, weights, WIDE // _COARSE_STEP)
 
 
-def solve_exactly(data: Float32, weights: Float32) -> Labels:
+def solve_exactly(data: Float32, weights: Float32, wide: int = WIDE) -> Labels:
     """Find the labels of least energy by one cut: for few nodes, or few labels.
 
     Parameters and result are those of `minimize_energy`; the cut has R x C x (L - 1) nodes.
+    Among fewer labels, `wide` is the number of `WIDE`.
     """
     rows, columns, count = data.shape
     if count == 2:
         low = np.zeros((rows, columns), np.int32)
         return _fuse_labels(low, low + np.int32(1), data, weights)
     edges = Edges.of_grid(weights)
-    graph = _threshold_graph(data.reshape(-1, count), edges.first, edges.second, edges.weight)
+    graph = _threshold_graph(data.reshape(-1, count), *edges.arrays, wide)
     return _sink_side(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
 
 
@@ -320,40 +324,54 @@ class Edges:
     first, second : (E,) int32 ndarray
         Numbers of the two nodes.
     weight : (E,) float32 ndarray
+    beyond : (E,) float32 ndarray
+        The weight of differences beyond the label `WIDE`.
     """
 
     first: Labels
     second: Labels
     weight: Float32
+    beyond: Float32
+
+    @property
+    def arrays(self) -> tuple[Labels, Labels, Float32, Float32]:
+        """All of them, as kernels take them."""
+        return self.first, self.second, self.weight, self.beyond
 
     @classmethod
     def of_grid(cls, weights: Float32) -> Edges:
         """Return the pairs of a grid whose nodes are numbered row by row."""
         columns = weights.shape[2]
-        k, i, j = np.nonzero(weights)
+        k, i, j = np.nonzero(weights[:HALF])
         first = i * columns + j
         step = np.array([down * columns + right for down, right in STEPS])
-        return cls(first.astype(np.int32), (first + step[k]).astype(np.int32), weights[k, i, j])
+        second = (first + step[k]).astype(np.int32)
+        beyond = weights[-HALF:][k, i, j]
+        return cls(first.astype(np.int32), second, weights[k, i, j], beyond)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
-    """Evaluate (14) for labels (R, C), costs (R, C, L) and weights (4, R, C)."""
+    """Evaluate (14) for labels (R, C), costs (R, C, L) and weights (4 or 8, R, C)."""
     rows, columns = labels.shape
     energy = 0.0
+    beyond = len(weights) - HALF
     for i in range(rows):
         for j in range(columns):
             energy += data[i, j, labels[i, j]]
             for k, (down, right) in enumerate(STEPS):
                 y, x = i + down, j + right
                 if y < rows and 0 <= x < columns:
-                    energy += weights[k, i, j] * abs(labels[i, j] - labels[y, x])
+                    low = min(labels[i, j], labels[y, x])
+                    high = max(labels[i, j], labels[y, x])
+                    given = weights[k, i, j], weights[beyond + k, i, j]
+                    energy += _weighted(low, high, *given)
     return energy
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _threshold_graph(
-    data: Float32, first: Labels, second: Labels, weight: Float32
+    data: Float32, first: Labels, second: Labels, weight: Float32, beyond: Float32, wide: int
 ) -> tuple[Float64, Labels, Labels, Float64, Float64]:
     """Return unary costs and arcs over the variables "the label of node i is above t".
 
@@ -376,7 +394,8 @@ def _threshold_graph(
     for edge in range(len(first)):
         for t in range(steps):
             tail[count], head[count] = first[edge] * steps + t, second[edge] * steps + t
-            forth[count], back[count] = weight[edge], weight[edge]
+            forth[count] = weight[edge] if t < wide else beyond[edge]
+            back[count] = forth[count]
             count += 1
     return cost, tail, head, forth, back
 
@@ -409,7 +428,7 @@ def fuse(
         Where they differ, as places in the flat grid, in order.
     change : (P,) float64 ndarray
         D of the proposed label minus D of the present one.
-    weights : (4, R, C) float32 ndarray
+    weights : (4, R, C) or (8, R, C) float32 ndarray
 
     Returns
     -------
@@ -440,6 +459,7 @@ def _fusion_graph(
     for here in range(len(place)):
         node[place[here] // columns, place[here] % columns] = here
     cost = np.zeros(len(place))
+    beyond = len(weights) - HALF
     tail, head = np.empty(4 * len(place), np.int32), np.empty(4 * len(place), np.int32)
     capacity = np.empty(4 * len(place), np.float32)
     edges = 0
@@ -454,28 +474,40 @@ def _fusion_graph(
         for k, (down, right) in enumerate(STEPS):
             y, x = i + down, j + right
             if y < rows and 0 <= x < columns:
-                weight, there = weights[k, i, j], node[y, x]
+                there = node[y, x]
+                given = weights[k, i, j], weights[beyond + k, i, j]
                 least = min(labels[y, x], proposal[y, x])
                 most = max(labels[y, x], proposal[y, x])
-                cost[here] += weight * _outside(low, high, least, most)
+                cost[here] += _outside(low, high, least, most, *given)
                 if there >= 0:
-                    cost[there] += weight * _outside(least, most, low, high)
-                    common = min(high, most) - max(low, least)
-                    if common > 0:
+                    cost[there] += _outside(least, most, low, high, *given)
+                    bottom, top = max(low, least), min(high, most)
+                    if top > bottom:
                         tail[edges], head[edges] = here, there
-                        capacity[edges] = weight * common
+                        capacity[edges] = _weighted(bottom, top, *given)
                         edges += 1
             y, x = i - down, j - right
             if y >= 0 and 0 <= x < columns and node[y, x] < 0:
                 beside = labels[y, x]
-                cost[here] += weights[k, y, x] * _outside(low, high, beside, beside)
+                given = weights[k, y, x], weights[beyond + k, y, x]
+                cost[here] += _outside(low, high, beside, beside, *given)
     return cost, tail[:edges], head[:edges], capacity[:edges]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def _outside(low: int, high: int, least: int, most: int) -> int:
-    """Count the thresholds from low to high that are above most, less those below least."""
-    return max(high, most) - max(low, most) - min(high, least) + min(low, least)
+def _weighted(low: int, high: int, weight: np.float32, beyond: np.float32) -> np.float32:
+    """Add up the weights of the thresholds from one label to a higher one."""
+    near = min(high, WIDE) - min(low, WIDE)
+    return weight * near + beyond * (high - low - near)
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def _outside(
+    low: int, high: int, least: int, most: int, weight: np.float32, beyond: np.float32
+) -> np.float32:
+    """Add up thresholds from low to high that are above most, less those below least."""
+    above = _weighted(max(low, most), max(high, most), weight, beyond)
+    return above - _weighted(min(low, least), min(high, least), weight, beyond)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

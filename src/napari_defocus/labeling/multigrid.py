@@ -14,6 +14,14 @@ Labels = NDArray[np.int32]
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """From a node to the half of its 8 neighbours that comes after it: row and column steps."""
 
+HALF = len(STEPS)
+"""Weights of a node with its neighbours, if all labels have the same ones."""
+
+WIDE = 50
+"""The label of 5 px. Differences beyond it may have their own weights, as edges of what is blurred
+by more show only in the picture smoothed over 8 px (docs/decisions.md).
+"""
+
 _RELAXATION = np.float32(0.4)
 """Share of its edges' weights that a joined node pays to leave the common label. With 1, edges
 inside of the joined node would count as well. Chosen by the energy on ramps and photographs.
@@ -38,9 +46,10 @@ def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[F
     """
     rows, columns = (-(-length // 2) for length in data.shape[:2])
     joined = np.zeros((rows, columns, data.shape[2]), np.float32)
-    price = np.full(data.shape[:2], np.inf if agreed else 0, np.float32)
+    price = np.full((2, *data.shape[:2]), np.inf if agreed else 0, np.float32)
     if not agreed:
-        price[:] = _RELAXATION * weights.sum(axis=0)
+        for half, part in enumerate((weights[:HALF], weights[-HALF:])):
+            price[half] = _RELAXATION * part.sum(axis=0)
     in_bands(_join_costs, rows, data, price, joined)
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)
@@ -64,9 +73,9 @@ def _join_costs(start: int, stop: int, data: Float32, price: Float32, joined: Fl
         for j in range(columns):
             cost[:] = data[i, j]
             for label in range(1, count):
-                cost[label] = min(cost[label], cost[label - 1] + price[i, j])
+                cost[label] = min(cost[label], cost[label - 1] + price[int(label > WIDE), i, j])
             for label in range(count - 2, -1, -1):
-                cost[label] = min(cost[label], cost[label + 1] + price[i, j])
+                cost[label] = min(cost[label], cost[label + 1] + price[int(label >= WIDE), i, j])
             for label in range(count):
                 joined[i // 2, j // 2, label] += cost[label]
 
@@ -76,12 +85,14 @@ def _joined_weights(
     weights: Float32, row_block: NDArray[np.int64], column_block: NDArray[np.int64]
 ) -> Float32:
     rows, columns = weights.shape[1:]
-    joined = np.zeros((4, row_block[-1] + 1, column_block[-1] + 1), np.float32)
-    for k, (down, right) in enumerate(STEPS):
+    joined = np.zeros((len(weights), row_block[-1] + 1, column_block[-1] + 1), np.float32)
+    for k in range(len(weights)):
+        down, right = STEPS[k % HALF]
+        into = joined[k - k % HALF : k - k % HALF + HALF]
         for i in range(rows - down):
             for j in range(max(0, -right), columns - max(0, right)):
                 join_blocks(
-                    joined,
+                    into,
                     row_block[i],
                     column_block[j],
                     row_block[i + down],

@@ -6,7 +6,8 @@ Neighbours p, q in an 8-neighbourhood pay w_pq |l_p - l_q| for their labels (15)
 
 depends on their colours c: the blur may jump where the picture has an edge. Labels are first
 chosen for blocks of pixels, one around each analysed window; the weight between two blocks is the
-sum over all pairs of pixels that cross their border.
+sum over all pairs of pixels that cross their border, and less where that is a blurred edge
+(`blurred_edges`).
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.progress import Progress, silent
+from napari_defocus.labeling.blurred_edges import less_at_blurred_edges
 from napari_defocus.labeling.focus_threshold import settled, threshold_in_px
 from napari_defocus.labeling.graph_cuts import solve_exactly
 from napari_defocus.labeling.known import with_unknown_left
@@ -100,10 +101,13 @@ def _problem_of_blocks(
     cost = focus_cost(problem, threshold_in_px(settings))
     share = 1.0 if problem.own.mode == "paper" else _BLOCK_SHARE
     sigma = problem.sigma(settings.color_sigma)
-    weights = problem.blocks.edge_weights(problem.color, sigma, share * settings.smoothness)
+    blocks, color = problem.blocks, problem.color
+    weights = blocks.edge_weights(color, sigma, share * settings.smoothness)
+    if problem.candidates.mode == "curve":
+        weights = less_at_blurred_edges(weights, color, blocks, sigma)
     block_cost = cost * problem.block_weight[..., None]
     if fixed is not None:
-        block_cost += _seed_cost(fixed, problem.blocks)
+        block_cost += _seed_cost(fixed, blocks)
     return cost, block_cost, weights
 
 

@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from napari_defocus.core.image import PreparedImage
+from napari_defocus.likelihood.exact_spectra import domain_of_window
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+
+_LEAST_SIDES = 4
+"""A picture is so many windows of the level before it high and wide, or has no such level: two
+windows of its own. Chosen by hand."""
 
 _FADE = 2.0
 """px: standard deviation of the Gaussian by which what is left out fades in; a hard border would
@@ -19,6 +24,16 @@ itself look sharp."""
 
 _REACH = 2.0
 """Standard deviations at which that Gaussian ends: tiles see no farther."""
+
+
+def level_count(shape: tuple[int, int], window: int, largest: float) -> int:
+    """Return how many levels a picture of a height and width has, for scales up to `largest` px."""
+    count = 1
+    while domain_of_window(window) * 2 ** (count - 1) < largest and min(
+        shape
+    ) >= _LEAST_SIDES * window * 2 ** (count - 1):
+        count += 1
+    return count
 
 
 def mean_of_four(values: Float32) -> Float32:

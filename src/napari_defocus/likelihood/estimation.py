@@ -22,7 +22,7 @@ from napari_defocus.core.intensity import Intensities, IntensityRange
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.progress import within as within_share
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
-from napari_defocus.likelihood.averaged_pixels import halved_without
+from napari_defocus.likelihood.averaged_pixels import halved_without, level_count
 from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, spectrum_table
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window, within_window
@@ -37,13 +37,12 @@ from napari_defocus.likelihood.scale_space import (
     Level,
     joined,
     joined_scales,
-    level_count,
     strongest,
 )
 from napari_defocus.likelihood.sharp_details import SharpDetails
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
 from napari_defocus.likelihood.signs import signs_of
-from napari_defocus.psf.domain import limited, seen_with_pixels
+from napari_defocus.psf.domain import growth_of_details, limited, seen_with_pixels, softness_beside
 from napari_defocus.psf.families import PSFFamily, as_family
 from napari_defocus.settings import MapSettings
 
@@ -165,7 +164,7 @@ def candidates_of(
         found = _of_one_level(part, how.of_level(0), noise_variance, shot_noise, progress)
         if how.mode == "paper":
             return found
-        return replace(found, sharp=_sharp_details(part, noise_variance, shot_noise).inside)
+        return replace(found, sharp=_sharp_details(part, how, noise_variance, shot_noise).inside)
     levels, details = _levels_of(picture, part, how, noise_variance, shot_noise, progress)
     start = (0, 0) if within is None else (within[0].start, within[1].start)
     sharp = details.inside if within is None else details.inside[within]
@@ -188,28 +187,26 @@ def _levels_of(
     hidden = np.zeros(picture.shape, bool)
     for level in range(count):
         report = within_share(progress, *shares[level : level + 2] / shares[-1])
-        noise, shot = 4.0**-level * noise_variance, _less_noise(shot_noise, 4.0**-level)
+        noise, shot = 4.0**-level * noise_variance, shot_noise and shot_noise.reduced(4.0**-level)
         seen = part if level == 0 else picture
         found = _of_one_level(seen, how.of_level(level), noise, shot, report)
         levels.append(Level(seen, found, 2**level, hidden))
         if level + 1 < count:
             # Not less than at level 0: a camera's noise is not white.
-            details.append(_sharp_details(picture, noise_variance, shot_noise))
+            details.append(_sharp_details(picture, how, noise_variance, shot_noise))
             picture, hidden = halved_without(picture, details[-1].around | hidden)
     return levels, details[0]
 
 
-def _less_noise(noise: ShotNoise | None, share: float) -> ShotNoise | None:
-    """Return noise whose variance is a share of what it was."""
-    if noise is None:
-        return None
-    return replace(noise, read_variance=share * noise.read_variance, gain=share * noise.gain)
-
-
 def _sharp_details(
-    picture: PreparedImage, noise_variance: float, shot_noise: ShotNoise | None
+    picture: PreparedImage,
+    how: Estimation,
+    noise_variance: float,
+    shot_noise: ShotNoise | None,
 ) -> SharpDetails:
-    """Return the sharp details of a level's picture."""
+    """Return the sharp details of a level's picture: points have fine details at any blur."""
+    if growth_of_details(how.psf):
+        return SharpDetails.none(picture.shape)
     noise: float | Float32 = max(noise_variance, picture.rounding_variance)
     if shot_noise is not None:
         noise = shot_noise.variance_at(picture.luminance)
@@ -333,7 +330,7 @@ def _table(shape: tuple[int, int], how: Estimation) -> SpectrumTable:
     grid = AnalysisGrid.over(shape, how.window, how.stride)
     fractions = grid.rows[0] % 1, grid.columns[0] % 1
     mixed = how.mode != "paper"
-    softness = how.camera_softness if mixed else 0.0
+    softness = softness_beside(how.psf, how.camera_softness) if mixed else 0.0
     return spectrum_table(how.psf, how.window, *fractions, how.spectra, mixed, softness)
 
 

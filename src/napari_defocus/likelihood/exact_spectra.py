@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import fft, fft2, fftfreq, next_fast_len
 
 from napari_defocus.likelihood.gabor import MIN_WINDOW, AxisFilters, axis_filters, frequencies
-from napari_defocus.psf.domain import limited
+from napari_defocus.psf.domain import growth_of_details, limited
 from napari_defocus.psf.families import PSFFamily, as_family
 
 Float64 = NDArray[np.floating]
@@ -23,6 +23,9 @@ Float64 = NDArray[np.floating]
 TABLE_STEP = 0.02
 """px between the scales of a table, at most. Chosen by hand."""
 
+
+_LEAST_FREQUENCY = 0.05
+"""Radians a px below which no scene's details change; windows of 41 px see none. By hand."""
 
 _USUAL_DOMAIN = 8.0
 """px, of windows of 41 px; smaller ones are asked for as much, if they hold such a disc."""
@@ -63,7 +66,7 @@ def log_blur_spectra(
     kernels = [psf.kernel(float(scale)) for scale in scales]
     largest = max(len(kernel) for kernel in kernels)
     filters = FilterPower.of_window(window, row_fraction, column_fraction, largest)
-    return np.log(filters.blur_spectra(kernels, softness))
+    return np.log(filters.blur_spectra(kernels, softness, growth_of_details(psf)))
 
 
 @dataclass(frozen=True)
@@ -116,14 +119,20 @@ class FilterPower:
         columns = np.einsum("dcj,dj->dc", self.columns, along[::-1])
         return rows[:, self.row_of_filter] * columns[:, self.column_of_filter] / size**2
 
-    def blur_spectra(self, kernels: Sequence[Float64], softness: float = 0.0) -> Float64:
+    def blur_spectra(
+        self, kernels: Sequence[Float64], softness: float = 0.0, growth: float = 0.0
+    ) -> Float64:
         """Evaluate (6), sum |h * t_i|^2, by Parseval's theorem, for both gradients: (n, 2, F).
 
-        h is a kernel behind a Gaussian of the standard deviation `softness`, in px.
+        h is a kernel behind a Gaussian of the standard deviation `softness`, in px, for a scene
+        whose gradients grow with so many powers of the frequency.
         """
         size = self.rows.shape[2]
         along = np.exp(-((softness * 2 * np.pi * fftfreq(size)) ** 2))
         gaussian = np.outer(along, along)
+        if growth:
+            frequency = np.hypot(*np.meshgrid(*2 * [2 * np.sin(np.pi * fftfreq(size))]))
+            gaussian *= np.maximum(frequency, _LEAST_FREQUENCY) ** (2 * growth)
         spectra = np.empty((len(kernels), 2, self.rows.shape[1], self.columns.shape[1]))
         for spectrum, kernel in zip(spectra, kernels, strict=True):
             power = np.abs(fft2(kernel, (size, size))) ** 2 * gaussian

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,12 +11,11 @@ import numpy as np
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.likelihood.exact_spectra import domain_of_window
 from napari_defocus.likelihood.shot_noise import ShotNoise
-from napari_defocus.likelihood.window_evidence import (
-    LARGEST_LOSS,
-    Windows,
-    family_fit,
-)
-from napari_defocus.psf.families import Annulus, Disc, Gaussian, PSFFamily
+from napari_defocus.likelihood.specimen_choice import specimen_margin
+from napari_defocus.likelihood.window_evidence import LARGEST_LOSS, Windows, family_fit, spacing
+from napari_defocus.psf import AUTO
+from napari_defocus.psf.families import Annulus, AutomaticPSF, Disc, Gaussian, PSFFamily
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.psf.parsing import psf_text
 
 _OTHERS = (Gaussian(), Annulus(0.3), Annulus(0.5))
@@ -28,6 +26,10 @@ well with discs.
 _LIMIT = 1.5
 """Units of log-likelihood, in the mean of windows, by which a family must be better than the disc.
 On simulations and photographs (docs/decisions.md)."""
+
+_SPECIMEN_LIMIT = 2.0
+"""Units by which points or texture must be better to count as found: on simulated beads and tissue
+2.5 to 10, and below it where noise hides nearly everything (docs/decisions.md)."""
 
 _WIDEST, _NARROWEST = 0.875, 1.5
 """Windows vote if their likeliest radius is between 1.5 px and 7 of 8 px: all families are alike
@@ -40,9 +42,6 @@ one: flat places have less. By hand."""
 _LEAST_SHARE, _LEAST_WINDOWS = 1 / 3, 30
 """Of textured windows, so many have to vote, and so many of all: the few blurred places of a sharp
 picture are mostly lone edges, which fit rings. On simulations and photographs (decisions.md)."""
-
-_MOST_WINDOWS, _CLOSEST = 900, 4
-"""About how many windows are looked at, and the part of their side that they are apart at least."""
 
 
 @dataclass(frozen=True)
@@ -83,13 +82,47 @@ class PSFChoice:
         }
 
 
+def is_to_choose(psf: PSFFamily) -> bool:
+    """Return whether a family leaves something for `choose_psf` to find."""
+    return isinstance(psf, AutomaticPSF) or (isinstance(psf, Microscope) and psf.specimen == AUTO)
+
+
 def choose_psf(
     pictures: Sequence[PreparedImage],
+    psf: PSFFamily,
     *,
     noise: float | ShotNoise | None,
-    max_radius: float,
     window: int,
     camera_softness: float,
+) -> PSFChoice:
+    """Choose what a family leaves open: see `choose_family` and `specimen_margin`.
+
+    Parameters
+    ----------
+    pictures : sequence of PreparedImage
+        Samples that one lens made.
+    psf : PSFFamily
+        One that `is_to_choose`. Up to 8 px of its domain are looked at, with windows of 41 px.
+    noise : float, ShotNoise or None
+        As `estimate_candidates` takes it.
+    window : int
+        Side N of the analysis window, in px.
+    camera_softness : float
+        px, see `napari_defocus.compare_psf`.
+    """
+    if isinstance(psf, Microscope):
+        margin, windows = specimen_margin(pictures, psf, noise, window, camera_softness)
+        chosen = replace(psf, specimen="points" if margin > 0 else "texture")
+        return PSFChoice(chosen, abs(margin) > _SPECIMEN_LIMIT, abs(margin), windows)
+    samples = [
+        Windows.of(picture, noise, window, spacing(picture, window, len(pictures)))
+        for picture in pictures
+    ]
+    return choose_family(samples, psf.max_scale, camera_softness)
+
+
+def choose_family(
+    samples: Sequence[Windows], max_radius: float, camera_softness: float
 ) -> PSFChoice:
     """Choose the family that made pictures: disc, Gaussian, ring of obstruction 0.3 or 0.5.
 
@@ -97,25 +130,9 @@ def choose_psf(
     textured ones, 30 at least, and one family is better than the disc by 1.5 in the mean
     log-likelihood of a window, it is taken; else the disc stays.
 
-    Parameters
-    ----------
-    pictures : sequence of PreparedImage
-        Samples that one lens made.
-    noise : float, ShotNoise or None
-        As `estimate_candidates` takes it.
-    max_radius : float
-        Largest blur radius of the chosen family, in px. Up to 8 px are looked at, with
-        windows of 41 px.
-    window : int
-        Side N of the analysis window, in px.
-    camera_softness : float
-        px, see `napari_defocus.compare_psf`.
+    `max_radius` is the largest blur radius of the chosen family, in px.
     """
-    samples = [
-        Windows.of(picture, noise, window, _stride(picture, window, len(pictures)))
-        for picture in pictures
-    ]
-    largest = min(max_radius, domain_of_window(window))
+    largest = min(max_radius, domain_of_window(samples[0].window))
     families = [replace(psf, max_radius=largest) for psf in (Disc(), *_OTHERS)]
     fits = [family_fit(samples, psf, camera_softness) for psf in families]
     evidence = np.array([fit.evidence for fit in fits])
@@ -134,8 +151,3 @@ def choose_psf(
         chosen = replace(_OTHERS[other - 1], max_radius=max_radius)
         return PSFChoice(chosen, found=True, margin=margin, windows=count)
     return PSFChoice(disc, found=-margin > _LIMIT, margin=-margin, windows=count)
-
-
-def _stride(picture: PreparedImage, window: int, count: int) -> int:
-    area = picture.shape[0] * picture.shape[1]
-    return max(window // _CLOSEST, round(math.sqrt(count * area / _MOST_WINDOWS)))

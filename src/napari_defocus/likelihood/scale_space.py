@@ -48,10 +48,6 @@ from napari_defocus.likelihood.sharp_details import SharpDetails
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 
-_LEAST_SIDES = 4
-"""A picture is so many windows of the level before it high and wide, or has no such level: two
-windows of its own. Chosen by hand."""
-
 _ANYTHING = 3.0
 """px of a level, if its windows tell 8 px. Blur beyond the range of a level looks like more than
 this.
@@ -89,16 +85,6 @@ level has all of its say, and none."""
 _MARGIN = 96
 """px of a level that a place sees at most: half a window, half a window that windows move, what
 evidence is averaged over, the spaces between windows, and what makes pixels be left out."""
-
-
-def level_count(shape: tuple[int, int], window: int, largest: float) -> int:
-    """Return how many levels a picture of a height and width has, for scales up to `largest` px."""
-    count = 1
-    while domain_of_window(window) * 2 ** (count - 1) < largest and min(
-        shape
-    ) >= _LEAST_SIDES * window * 2 ** (count - 1):
-        count += 1
-    return count
 
 
 def reach_of(levels: int, window: int) -> int:

@@ -67,6 +67,11 @@ class SharpDetails:
     inside: Mask
 
     @classmethod
+    def none(cls, shape: tuple[int, int]) -> SharpDetails:
+        """Return that nothing is sharp beyond doubt, for a picture of a height and width."""
+        return cls(np.zeros(shape, bool), np.zeros(shape, bool))
+
+    @classmethod
     def of(cls, picture: PreparedImage, noise_variance: float | Float32) -> SharpDetails:
         """Find them in a prepared picture.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,6 +94,10 @@ class ShotNoise:
         check_real("offset", self.offset, "a finite number")
         if not math.isfinite(self.offset):
             raise ValueError(f"offset is {self.offset}; it takes a finite number")
+
+    def reduced(self, share: float) -> ShotNoise:
+        """Return noise whose variance is a share of this one's."""
+        return replace(self, read_variance=share * self.read_variance, gain=share * self.gain)
 
     def variance_at(self, intensity: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return the variance at intensities in [0, 1]; darker than `offset` counts as that."""

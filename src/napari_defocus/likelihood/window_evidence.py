@@ -10,6 +10,7 @@ by its dispersion, it tells families worse (docs/decisions.md).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,6 +26,7 @@ from napari_defocus.likelihood.gabor import gradients, local_power
 from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
 from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
+from napari_defocus.psf.domain import growth_of_details, softness_beside
 from napari_defocus.psf.families import Gaussian, PSFFamily
 
 Float32 = NDArray[np.float32]
@@ -40,6 +42,9 @@ LARGEST_LOSS = 10.0
 
 _STEP = 0.2
 """px between the scales that are summed over. Chosen by hand."""
+
+_MOST_WINDOWS, _CLOSEST = 900, 4
+"""About how many windows are looked at, and the part of their side that they are apart at least."""
 
 _LEAST_KNOWN, _TINY = 0.5, 1e-12
 """Share of a window that has to be known, and least relative noise that is divided by. By hand."""
@@ -99,6 +104,12 @@ class Windows:
         return cls(power[known], least, mean, window, fractions)
 
 
+def spacing(picture: PreparedImage, window: int, count: int) -> int:
+    """Return how far windows are apart, in px, if about 900 of `count` pictures are looked at."""
+    area = picture.shape[0] * picture.shape[1]
+    return max(window // _CLOSEST, round(math.sqrt(count * area / _MOST_WINDOWS)))
+
+
 @dataclass(frozen=True, eq=False)
 class FamilyFit:
     """How well a family explains windows.
@@ -119,9 +130,14 @@ class FamilyFit:
     softness: float
 
 
-def family_fit(samples: Sequence[Windows], psf: PSFFamily, camera_softness: float) -> FamilyFit:
+def family_fit(
+    samples: Sequence[Windows],
+    psf: PSFFamily,
+    camera_softness: float,
+    softer: tuple[float, ...] = SOFTER,
+) -> FamilyFit:
     """Return how well a family explains the windows of samples, with the best softness."""
-    tried = softnesses(psf, camera_softness)
+    tried = softnesses(psf, camera_softness, softer)
     fits = [
         [np.concatenate(each) for each in zip(*one_softness, strict=True)]
         for one_softness in zip(*(_fits(windows, psf, tried) for windows in samples), strict=True)
@@ -132,14 +148,17 @@ def family_fit(samples: Sequence[Windows], psf: PSFFamily, camera_softness: floa
     return FamilyFit(evidence[best], fits[best][1], fits[best][2], tried[best])
 
 
-def softnesses(psf: PSFFamily, camera_softness: float) -> tuple[float, ...]:
+def softnesses(
+    psf: PSFFamily, camera_softness: float, softer: tuple[float, ...] = SOFTER
+) -> tuple[float, ...]:
     """Return the softnesses, in px, that a family behind a camera is tried with.
 
     A Gaussian behind a Gaussian is one: of that family, the radius says it all.
     """
+    camera_softness = softness_beside(psf, camera_softness)
     if isinstance(psf, Gaussian):
         return (camera_softness,)
-    return (camera_softness, *(each for each in SOFTER if each > camera_softness))
+    return (camera_softness, *(each for each in softer if each > camera_softness))
 
 
 def _fits(
@@ -165,5 +184,6 @@ def _tables(
     kernels = [psf.kernel(float(scale)) for scale in scales]
     filters = FilterPower.of_window(window, *fractions, max(len(kernel) for kernel in kernels))
     noise = FilterPower.of_window(window, *fractions, largest=2).noise_spectra()
-    blurs = (filters.blur_spectra(kernels, softness) for softness in softnesses)
+    growth = growth_of_details(psf)
+    blurs = (filters.blur_spectra(kernels, softness, growth) for softness in softnesses)
     return [SpectrumTable(scales, blur, 0 * blur, 0 * blur, noise) for blur in blurs]

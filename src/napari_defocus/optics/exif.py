@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,66 @@ _CROPPED = 0.01
 """If the ratio of the sides differs by more than this share, the picture was cropped. By hand."""
 
 
+FROM_FOCAL_PLANE = "from the resolution of its focal plane"
+FROM_35_MM = "worked out from its focal length on 35 mm film, which is rounded"
+"""Where a pixel pitch was found, said of a photograph."""
+
+SENSORS_MM = {"full frame": 36.0, "APS-C": 23.5, "Four Thirds": 17.3, "a phone's": 7.5}
+"""Widths of common sensors. Those of phones are from 5 to 10 mm."""
+
+
+@dataclass(frozen=True)
+class NotedLens:
+    """What a photograph notes of its lens.
+
+    Attributes
+    ----------
+    values : dict
+        Of each parameter of `ThinLens` its value, None if it is not noted.
+    pitch_from : str or None
+        Where the pixel pitch comes from: `FROM_FOCAL_PLANE` or `FROM_35_MM`.
+    image_size : (int, int)
+        Height and width in px, or the other way round, of the picture that it is the pitch of.
+    """
+
+    values: dict[str, float | None]
+    pitch_from: str | None
+    image_size: tuple[int, int]
+
+
+def pitch_advice(image_size: tuple[int, int] | None = None, micro: str = "u") -> str:
+    """Return how somebody who does not know the pixel pitch works it out.
+
+    Parameters
+    ----------
+    image_size : (int, int), optional
+        Sides of the picture in px; with them, there are examples.
+    micro : str, optional
+        How the unit is written.
+
+    Examples
+    --------
+    >>> print(pitch_advice())
+    Pixel pitch in um = 1000 x sensor width in mm / picture width in px, if nothing was cropped
+    >>> pitch_advice((4000, 6000)).partition("; ")[2].split(", ")[:2]
+    ['for 6000 px that is 6 with 36 mm (full frame)', '3.92 with 23.5 mm (APS-C)']
+    """
+    rule = (
+        f"Pixel pitch in {micro}m = 1000 x sensor width in mm / picture width in px, "
+        "if nothing was cropped"
+    )
+    if image_size is None:
+        return rule
+    px = max(image_size)
+    said = (f"{1000 * mm / px:.3g} with {mm:g} mm ({name})" for name, mm in SENSORS_MM.items())
+    return f"{rule}; for {px} px that is {', '.join(said)}"
+
+
 def noted_lens(
     path: str | os.PathLike[str],
     focal_length_mm: float | None = None,
     image_size: tuple[int, int] | None = None,
-) -> dict[str, float | None]:
+) -> NotedLens:
     """Read the parameters of `ThinLens` from a photograph.
 
     Parameters
@@ -44,8 +100,7 @@ def noted_lens(
 
     Returns
     -------
-    dict
-        Of each parameter's name its value, None if it is not noted.
+    NotedLens
 
     Raises
     ------
@@ -58,14 +113,15 @@ def noted_lens(
         _check_size(image_size)
     exif, stored = _read_exif(Path(path))
     noted_focal_length = _noted(exif, "FocalLength")
-    return {
+    focal_length = noted_focal_length or focal_length_mm
+    pitch, pitch_from = _noted_pitch(exif, focal_length, stored, image_size)
+    values = {
         "focal_length_mm": noted_focal_length,
         "f_number": _noted_f_number(exif),
         "focus_distance_m": _noted_focus_distance(exif),
-        "pixel_pitch_um": _noted_pitch(
-            exif, noted_focal_length or focal_length_mm, stored, image_size
-        ),
+        "pixel_pitch_um": pitch,
     }
+    return NotedLens(values, pitch_from, image_size or stored)
 
 
 def _check_size(image_size: object) -> None:
@@ -155,8 +211,8 @@ def _noted_pitch(
     focal_length_mm: float | None,
     stored: tuple[int, int],
     image_size: tuple[int, int] | None,
-) -> float | None:
-    """Return the pixel pitch, in um, of a picture of `image_size` px.
+) -> tuple[float | None, str | None]:
+    """Return the pixel pitch, in um, of a picture of `image_size` px, and where it comes from.
 
     Sides are compared by their length: cameras and programs do not agree on whether what they
     note is turned with the picture.
@@ -167,15 +223,15 @@ def _noted_pitch(
     short, long = sorted(image_size or stored)
     fitting = long * short_captured / long_captured
     if abs(short - fitting) > 1 + _CROPPED * fitting:
-        return None
+        return None, None
     pitch = _noted_photosite_pitch(exif)
     if pitch is not None:
-        return pitch * long_captured / long
+        return pitch * long_captured / long, FROM_FOCAL_PLANE
     in_35_mm = _noted(exif, "FocalLengthIn35mmFilm")
     if in_35_mm is None or focal_length_mm is None:
-        return None
+        return None, None
     diagonal_mm = _DIAGONAL_OF_35_MM * focal_length_mm / in_35_mm
-    return 1000 * diagonal_mm / math.hypot(long, short)
+    return 1000 * diagonal_mm / math.hypot(long, short), FROM_35_MM
 
 
 def _noted_photosite_pitch(exif: Mapping[int, Any]) -> float | None:

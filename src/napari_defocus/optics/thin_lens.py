@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.checks import Side, check_number
 from napari_defocus.core.image import given_array, given_reals
-from napari_defocus.optics.exif import noted_lens
+from napari_defocus.optics.exif import noted_lens, pitch_advice
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -44,7 +44,8 @@ class ThinLens:
         s, in m, from the lens to the plane in focus; infinity is allowed.
     pixel_pitch_um : float
         p, in um on the sensor: the distance of the picture's pixels. A picture that was scaled
-        down to a half has twice the pitch of the sensor.
+        down to a half has twice the pitch of the sensor. If nothing was cropped, it is 1000 times
+        the width of the sensor in mm over the width of the picture in px.
 
     Raises
     ------
@@ -122,7 +123,8 @@ class ThinLens:
         now, the pitch is that of the scaled picture. A picture that was cropped to the same shape
         looks like a scaled one: then give the pitch. The pitch counts as not noted if the ratio
         of the sides differs from that at capture by more than 1 %. Programs that scale a picture
-        and write its new size over that at capture make the pitch too small.
+        and write its new size over that at capture make the pitch too small. Where a pitch came
+        from is in ``noted_lens(path).pitch_from`` of `napari_defocus.optics.exif`.
 
         Parameters
         ----------
@@ -165,12 +167,16 @@ class ThinLens:
             "pixel_pitch_um": pixel_pitch_um,
         }
         noted = noted_lens(path, focal_length_mm, image_size)
-        known = {name: noted[name] if given[name] is None else given[name] for name in given}
+        known = {
+            name: noted.values[name] if value is None else value for name, value in given.items()
+        }
         lens = {name: value for name, value in known.items() if value is not None}
         missing = [name for name in known if name not in lens]
         if missing:
+            advice = f". {pitch_advice(noted.image_size)}" if "pixel_pitch_um" in missing else ""
             raise ValueError(
                 f"the EXIF of {path} does not note {_enumerated(missing)}; give what is missing"
+                f"{advice}"
             )
         try:
             return cls(**lens)

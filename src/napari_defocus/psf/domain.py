@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, cast
 
@@ -16,6 +17,7 @@ from napari_defocus.psf.families import (
     Polygon,
     PSFFamily,
 )
+from napari_defocus.psf.microscope import Microscope
 
 _SCALE_FREE = (Annulus, Disc, Gaussian, GeneralizedGaussian, Polygon)
 """Families with one shape: pixels that are twice as wide see half the radius."""
@@ -40,9 +42,29 @@ def seen_with_pixels(psf: PSFFamily, side: int, largest: float) -> PSFFamily:
     """
     if isinstance(psf, _SCALE_FREE):
         return replace(psf, max_radius=min(psf.max_radius / side, largest))
+    if isinstance(psf, Microscope):
+        return psf.with_wider_pixels(side, largest)
     if side == 1:
         return limited(psf, largest)
     return Averaged(psf, side, min(psf.max_scale / side, largest))
+
+
+def softness_beside(psf: PSFFamily, softness: float) -> float:
+    """Return what is left of a camera's softness, in px, if a family has a part of it itself.
+
+    Diffraction is a part of what blurs in focus. So it must not count twice.
+    """
+    if isinstance(psf, Microscope):
+        return math.sqrt(max(softness**2 - psf.softness**2, 0.0))
+    return softness
+
+
+def growth_of_details(psf: PSFFamily) -> float:
+    """Return with which power of the frequency the gradients of what a lens sees grow.
+
+    Those of edges do not, and those of points grow as the frequency does, in amplitude.
+    """
+    return 1.0 if isinstance(psf, Microscope) and psf.specimen == "points" else 0.0
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import astuple, fields, replace
 from typing import Any
 
-from napari_defocus.psf import AUTO
+from napari_defocus.psf import AUTO, MICROSCOPE
 from napari_defocus.psf.families import (
     Annulus,
     AutomaticPSF,
@@ -17,21 +17,27 @@ from napari_defocus.psf.families import (
     PSFFamily,
 )
 from napari_defocus.psf.measured import MeasuredPSF
+from napari_defocus.psf.microscope import Microscope
 
-_Written = AutomaticPSF | Disc | Gaussian | GeneralizedGaussian | Polygon | Annulus
+_Written = AutomaticPSF | Disc | Gaussian | GeneralizedGaussian | Polygon | Annulus | Microscope
 
-_SPELLED: dict[str, tuple[Callable[..., _Written], tuple[Callable[[str], float], ...]]] = {
+_SPELLED: dict[str, tuple[Callable[..., _Written], tuple[Callable[[str], float | str], ...]]] = {
     AUTO: (AutomaticPSF, ()),
     "disc": (Disc, ()),
     "gaussian": (Gaussian, ()),
     "generalized-gaussian": (GeneralizedGaussian, (float,)),
     "polygon": (Polygon, (int, float)),
     "annulus": (Annulus, (float,)),
+    MICROSCOPE: (Microscope, (float, float, float, float, str)),
 }
+
+_NUMBERS_OF_MICROSCOPE = 3
+"""NA, wavelength and pixel size, which have no defaults."""
 
 PSF_TEXTS = (
     "disc, gaussian, generalized-gaussian:EXPONENT, polygon:BLADES[:ROTATION], "
-    "annulus:OBSTRUCTION, auto, or the path of a saved .npz"
+    "annulus:OBSTRUCTION, microscope:NA:WAVELENGTH:PIXEL[:INDEX[:SPECIMEN]] with um, auto, "
+    "or the path of a saved .npz"
 )
 """What `psf_from_text` takes, for help and errors."""
 
@@ -43,8 +49,9 @@ def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
     ----------
     text : str
         "auto" (the picture chooses), "disc", "gaussian", "generalized-gaussian:1.5", "polygon:6",
-        "polygon:6:15" (rotation in degrees), "annulus:0.5", or the path of a .npz file that
-        `MeasuredPSF.save` wrote.
+        "polygon:6:15" (rotation in degrees), "annulus:0.5", "microscope:1.3:0.52:0.1:1.515:points"
+        (NA, wavelength and pixel size in um, refractive index, specimen), or the path of a .npz
+        file that `MeasuredPSF.save` wrote.
         Parameters that are left out have the family's defaults.
     max_scale : float, optional
         Largest scale that is looked for, in px; by default the family's own.
@@ -75,7 +82,7 @@ def psf_from_text(text: str, max_scale: float | None = None) -> PSFFamily:
     try:
         family, kinds = _SPELLED[name]
         values = [kind(part) for kind, part in zip(kinds, parts, strict=False)]
-        if len(parts) > len(kinds):
+        if len(parts) > len(kinds) or (name == MICROSCOPE and len(parts) < _NUMBERS_OF_MICROSCOPE):
             raise ValueError
     except (KeyError, ValueError):
         raise ValueError(f"psf is {text!r}; it takes {PSF_TEXTS}") from None
@@ -102,7 +109,7 @@ def psf_text(psf: PSFFamily) -> str:
     for name, (family, _) in _SPELLED.items():
         if isinstance(psf, _Written) and type(psf) is family:
             values = (str(value).removesuffix(".0") for value in astuple(psf)[:-1])
-            return ":".join([name, *values])
+            return ":".join([name, *values]).removesuffix(f":{AUTO}")
     raise ValueError(f"psf is {psf!r}, which has no text form; it takes {PSF_TEXTS}")
 
 

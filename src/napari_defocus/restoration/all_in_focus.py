@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,15 +60,39 @@ class RestorationFit:
         picture fits. If it is above 0, less blur was taken away, with more smoothing. Noise
         with a variance of 2e-5 or more, for a contrast of 1, would hide a misfit: then it is
         assumed.
-    unrestored : float
-        Share of the picture that was left as it was, as rings beyond black and white say that
+    left_as_it_was : (H, W) float32 ndarray
+        How far each pixel was left as it was, from 0 to 1: rings beyond black and white say that
         the radii there are wrong.
     """
 
     noise_variance: float
     tv_weight: float
     misfit: float
-    unrestored: float = 0.0
+    left_as_it_was: Float32 = field(compare=False, repr=False)
+
+    @property
+    def unrestored(self) -> float:
+        """Share of the picture that was left as it was, from 0 to 1."""
+        return float(self.left_as_it_was.mean())
+
+
+@dataclass(frozen=True, eq=False)
+class TiledRestorationFit:
+    """What was not restored of the planes of a stack, or of a picture larger than memory.
+
+    Attributes
+    ----------
+    left_as_it_was : (..., H, W) float32 ndarray or dask.array.Array
+        How far each pixel was left as it was, from 0 to 1, see `RestorationFit`. It is a dask
+        array if the image was one.
+    """
+
+    left_as_it_was: Any
+
+    @property
+    def unrestored(self) -> Any:
+        """Share of each plane that was left as it was, (...), of the kind of `left_as_it_was`."""
+        return self.left_as_it_was.mean(axis=(-2, -1))
 
 
 @dataclass(frozen=True)
@@ -153,14 +178,14 @@ class Restoration:
                 hides_misfit=noise_variance >= PROCESSING_VARIANCE * picture.intensities.unit**2,
             )
             sharp = problem.solve(scales, progress)
-        unrestored = unrestored_share(sharp, scales, picture.intensities.unit)
-        sharp += unrestored[..., None] * (picture.color - sharp)
+        left = unrestored_share(sharp, scales, picture.intensities.unit)
+        sharp += left[..., None] * (picture.color - sharp)
         sharp = np.clip(sharp, 0, 1)
         fit = RestorationFit(
             noise_variance=float(noise_variance),
             tv_weight=problem.tv_weight,
             misfit=problem.misfit,
-            unrestored=float(unrestored.mean()),
+            left_as_it_was=left,
         )
         return encode_srgb(sharp) if self.linearize == "srgb" else sharp, fit
 

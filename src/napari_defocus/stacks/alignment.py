@@ -181,18 +181,41 @@ class StackAlignment:
 
     def encoded(self) -> bytes:
         """Return what `save` writes."""
+        return f"{json.dumps(self.as_dict(), indent=2)}\n".encode()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers as JSON holds them, for `from_dict`."""
         columns = (*self.shift.T, self.magnification, self.turn, self.uncertainty)
         planes = [
             dict(zip(_KEYS, map(float, row), strict=True)) for row in zip(*columns, strict=True)
         ]
-        content = {
+        return {
             VERSION_KEY: napari_defocus.__version__,
             "height": int(self.shape[0]),
             "width": int(self.shape[1]),
             "reference": int(self.reference),
             "planes": planes,
         }
-        return f"{json.dumps(content, indent=2)}\n".encode()
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Self:
+        """Return what `as_dict` was called on.
+
+        Raises
+        ------
+        KeyError, IndexError, TypeError, ValueError
+            If it is something else.
+        """
+        planes: Sequence[dict[str, float]] = content["planes"]
+        table = np.array([[float(plane[key]) for key in _KEYS] for plane in planes])
+        return cls(
+            shape=(int(content["height"]), int(content["width"])),
+            reference=int(content["reference"]),
+            shift=table[:, :2],
+            magnification=table[:, 2],
+            turn=table[:, 3],
+            uncertainty=table[:, 4],
+        )
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
@@ -206,17 +229,7 @@ class StackAlignment:
             If it holds no alignment; the message has the file and what is missing.
         """
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-            planes: Sequence[dict[str, float]] = content["planes"]
-            table = np.array([[float(plane[key]) for key in _KEYS] for plane in planes])
-            return cls(
-                shape=(int(content["height"]), int(content["width"])),
-                reference=int(content["reference"]),
-                shift=table[:, :2],
-                magnification=table[:, 2],
-                turn=table[:, 3],
-                uncertainty=table[:, 4],
-            )
+            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8-sig")))
         except FileNotFoundError:
             raise FileNotFoundError(f"cannot read {path}: there is no such file") from None
         except KeyError as error:

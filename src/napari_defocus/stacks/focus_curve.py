@@ -24,7 +24,11 @@ COLUMNS = ("share_in_focus", "median_radius_px", "median_confidence", "share_sur
 """Columns of the table that `FocusCurve.save` writes, after those of the plane."""
 
 _LEAST_KNOWN = 0.01
-"""Of a plane: if less is known, its share in focus is not."""
+"""Of a plane: if less is known, its share in focus and its median radius are not."""
+
+_AS_MUCH = 0.75
+"""Times the most in focus: a plane with so much counts as one with as much. By hand: how much is
+sure differs by that among planes of one stack, whatever their focus."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,7 +41,7 @@ class FocusCurve:
         The share of the plane's known pixels, from 0 to 1, see `focus_curve`. NaN for a plane of
         which less than 1 % is known.
     median_radius : (...) float64 ndarray
-        In px; NaN as above.
+        Of the plane's known pixels, in px; NaN as above.
     median_confidence : (...) float64 ndarray or None
         From 0 to 1; None if no confidence was given.
     share_sure : (...) float64 ndarray or None
@@ -51,18 +55,38 @@ class FocusCurve:
 
     @property
     def best(self) -> tuple[int, ...] | None:
-        """Index of the plane with the most in focus; the least median radius decides a tie.
+        """Index of the plane with the most in focus; of several, the one with the least median.
 
-        A plane counts as far as it is known. None if nothing is known of any plane.
+        A plane counts as far as it is known. One with three quarters of the most in focus has as
+        much. None if nothing is known of any plane.
         """
         known = np.isfinite(self.share_in_focus)
         if not known.any():
             return None
         share = 1.0 if self.share_sure is None else self.share_sure
         amount = self.share_in_focus * share
-        most = amount == amount[known].max()
+        most = amount >= _AS_MUCH * amount[known].max()
         radius = np.where(most, self.median_radius, np.inf)
         return tuple(int(at) for at in np.unravel_index(radius.argmin(), radius.shape))
+
+    @property
+    def rests_on(self) -> str:
+        """What the curve rests on, in a few words.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> maps, sure = np.ones((2, 8, 10)), np.ones((2, 8, 10))
+        >>> sure[:, :, 2:] = 0.1
+        >>> focus_curve(maps, confidence=sure).rests_on
+        'the 20% of each plane that are sure'
+        """
+        if self.share_sure is None or not np.isfinite(self.share_sure).any():
+            return "all pixels, sure or not: there is no confidence"
+        ends = np.nanmin(self.share_sure), np.nanmax(self.share_sure)
+        low, high = (f"{round(100 * end)}" for end in ends)
+        share = low if low == high else f"{low} to {high}"
+        return f"the {share}% of each plane that are sure"
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
         """Write the curve as a table, whole or not at all.
@@ -120,9 +144,10 @@ def focus_curve(
 
     .. math:: \frac{1}{|K|} \, \left|\{\mathbf{x} \in K: r[\mathbf{x}] \le \tau\}\right|
 
-    where :math:`\tau` is `threshold`; with a mask, the share of the mask. With a confidence, only
-    what is sure is known. Planes are read one at a time, so that the stack may be larger than
-    memory.
+    where :math:`\tau` is `threshold`; with a mask, the share of the mask. The median radius is that
+    of K, too. With a confidence, only what is sure is known: a dark background, whose radii mean
+    nothing, does not count. Without one, all pixels are taken as known, and `FocusCurve.rests_on`
+    says so. Planes are read one at a time, so that the stack may be larger than memory.
 
     Parameters
     ----------
@@ -136,7 +161,7 @@ def focus_curve(
     confidence : (..., H, W) array_like, optional
         Confidences, such as `confidence_map` makes of every plane, from 0 to 1. Pixels where it
         is 0, such as those outside of an analysed region, do not count at all. Below
-        `min_confidence`, it is not known whether they are in focus.
+        `min_confidence`, they are not known.
     within : (H, W) or (..., H, W) array_like, optional
         What counts, where it is not 0: a mask or labels, such as of tissue or cells.
     threshold : float, optional
@@ -228,7 +253,7 @@ class _Plane:
             known &= self.confidence >= min_confidence
         enough = known.sum() >= _LEAST_KNOWN * counts.sum()
         share = float(focused[known].mean()) if enough else math.nan
-        median = float(np.median(self.blur_map[counts]))
+        median = float(np.median(self.blur_map[known])) if enough else math.nan
         if self.confidence is None:
             return share, median, math.nan, math.nan
         sure = self.confidence[counts]

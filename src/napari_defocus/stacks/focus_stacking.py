@@ -15,6 +15,7 @@ from napari_defocus.core.checks import (
     check_flag,
     check_linearize,
     check_noise_variance,
+    check_number,
     check_real,
     check_stride,
     check_weights,
@@ -129,6 +130,25 @@ class SharpestPlane:
     def best(self) -> int:
         """The plane that is sharpest at the most pixels."""
         return int(self.share_of_plane.argmax())
+
+    def height_um(self, z_step_um: float) -> Float32:
+        """Return how high each pixel's best focus lies above the first plane: (H, W) in um.
+
+        Parameters
+        ----------
+        z_step_um : float
+            How far neighbouring planes are apart, in um; negative if they go down. A file says it
+            as `open_source(path).pixel_size["z"]`. Through air into another medium, the focus
+            moves by more than the stage.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `z_step_um` is not a finite number, or 0.
+        """
+        takes = "a finite number of um, not 0"
+        check_number("z_step_um", z_step_um, lambda step: 0 < abs(step) < math.inf, takes)
+        return self.position * np.float32(z_step_um)
 
 
 def sharpest_plane(

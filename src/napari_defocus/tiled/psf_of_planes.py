@@ -41,8 +41,8 @@ def psf_of_planes(
         pictures += [how.prepared(np.asarray(plane[pieces[at]])) for at in some]
     return choose_psf(
         pictures,
+        how.psf,
         noise=noise,
-        max_radius=how.psf.max_scale,
         window=how.window,
         camera_softness=how.camera_softness,
     )

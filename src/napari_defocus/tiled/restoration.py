@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.intensity import needs_limits
 from napari_defocus.core.progress import Progress
-from napari_defocus.restoration.all_in_focus import Restoration
+from napari_defocus.restoration.all_in_focus import Restoration, TiledRestorationFit
 from napari_defocus.settings import MapSettings
 from napari_defocus.tiled.computing import run_tasks
 from napari_defocus.tiled.lazy_planes import Index, LazyPlanes
@@ -34,11 +34,12 @@ def restore_tile(
     noise: Noise,
     how: Restoration,
 ) -> dict[str, Float32]:
-    """Restore what a tile sees, and return its core and margin."""
+    """Restore what a tile sees; return its core and margin, and how far they were left."""
     how = replace(how, noise_variance=noise.known)
     picture = how.prepared(pixels, noise.intensities)
-    restored = how.restored(pixels, picture, blur_map, confidence)
-    return {"in_focus": restored[tile.core(margin=True)].copy()}
+    restored, fit = how.restored_with_fit(pixels, picture, blur_map, confidence)
+    made, core = {"in_focus": restored, "left": fit.left_as_it_was}, tile.core(margin=True)
+    return {name: values[core].copy() for name, values in made.items()}
 
 
 def restore_planes(
@@ -48,13 +49,14 @@ def restore_planes(
     how: Restoration,
     block_size: int,
     progress: Progress,
-) -> Any:
+) -> tuple[Any, TiledRestorationFit]:
     """Do the work of `restore_all_in_focus`, which see, plane by plane and tile by tile.
 
     Returns
     -------
-    (..., H, W) or (..., H, W, 3 or 4) dask.array.Array
+    restored : (..., H, W) or (..., H, W, 3 or 4) dask.array.Array
         Or an array, if the image was one.
+    fit : TiledRestorationFit
     """
     radii = planes.belonging("blur_map", blur_map)
     sure = None if confidence is None else planes.belonging("confidence", confidence)
@@ -74,10 +76,15 @@ def restore_planes(
             known = pixels(plane, tile.pixels), pixels(radius, tile.pixels)
             trusted = None if certain is None else pixels(certain, tile.pixels)
             graph.add(place, restore_tile, *known, trusted, tile, noise, how)
-        return {"in_focus": graph.blended("in_focus", tiles, colors)}
+        return {
+            "in_focus": graph.blended("in_focus", tiles, colors),
+            "left": graph.blended("left", tiles),
+        }
 
-    restored = planes.each(of_plane)
-    return (run_tasks(restored, progress) if planes.in_memory else restored)["in_focus"]
+    made = planes.each(of_plane)
+    if planes.in_memory:
+        made = run_tasks(made, progress)
+    return made["in_focus"], TiledRestorationFit(made["left"])
 
 
 def _shared_limits(planes: LazyPlanes, how: Restoration) -> Any:

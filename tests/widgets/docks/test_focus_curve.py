@@ -90,7 +90,10 @@ def test_share_in_focus_and_median_radius_are_drawn_over_the_planes(viewer, draw
     share, radius = lines(widget)
     np.testing.assert_array_equal(share, [0, 0, 50, 0, np.nan])
     np.testing.assert_array_equal(radius, [6.5, 5, 4, 4.75, np.nan])
-    assert widget.status.value == "Sharpest: plane 2, 50% in focus, median 4.00 px"
+    assert widget.status.value == (
+        "Sharpest: plane 2, 50% in focus, median 4.00 px\n"
+        "It rests on all pixels, sure or not: there is no confidence."
+    )
 
 
 def test_threshold_decides_what_is_in_focus(viewer, drawn, until_read):
@@ -111,6 +114,7 @@ def test_masks_that_were_made_along_with_the_maps_decide_at_once(viewer, drawn, 
     assert not widget.form.threshold.enabled
     np.testing.assert_array_equal(lines(widget)[0], [100, 100, 100])
     assert widget.curve.median_confidence == pytest.approx(0.5, abs=0.01)
+    assert widget.status.value.endswith("It rests on the 50% of each plane that are sure.")
 
 
 def test_line_follows_the_slider_and_a_click_moves_the_slider(viewer, drawn):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from skimage.data import camera
 
-from napari_defocus import Cancelled, simulate_defocus
+from napari_defocus import Cancelled, StackAlignment, simulate_defocus
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.docks.sharpest_plane import SharpestPlaneWidget
@@ -52,17 +52,20 @@ def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(vie
         axis_labels=("z", "y", "x"),
     )
     results = found_of(viewer, layer, 0)
-    picture, position, sure = add_results(viewer, results.layers)
-    assert [each.name for each in (picture, position, sure)] == [
+    picture, position, sure, height = add_results(viewer, results.layers)
+    assert [each.name for each in (picture, position, sure, height)] == [
         "sweep sharpest",
         "sweep best focus (plane)",
         "sweep best focus confidence",
+        "sweep height of best focus (µm)",
     ]
+    np.testing.assert_allclose(height.data, 5 * position.data, rtol=1e-6)
+    assert tuple(height.contrast_limits) == (0, 30)
     assert picture.data.dtype == np.uint8
     assert np.median(np.abs(position.data - FOCUS)) < 0.3
     assert tuple(position.contrast_limits) == (0, 6)
     assert position.colorbar.visible
-    for each in (picture, position, sure):
+    for each in (picture, position, sure, height):
         assert each.data.shape == (90, 140)
         assert tuple(each.scale) == (0.5, 0.25)
         assert tuple(each.translate) == (2, 3)
@@ -71,7 +74,7 @@ def test_positions_picture_and_confidence_lie_on_the_stack_at_all_its_planes(vie
         assert each.metadata[METADATA_KEY]["px_per_plane"] == 1
     assert "The blur grows by 1.00 px a plane (given)" in results.summary
     again = add_results(viewer, results.layers)
-    assert again == [picture, position, sure]
+    assert again == [picture, position, sure, height]
 
 
 def test_focus_along_one_of_two_sliders_of_colours_in_any_order(viewer, sweep):
@@ -174,8 +177,50 @@ def test_form_runs_it(viewer, opened, finish, sweep):
     assert viewer.layers.selection.active.name == "sweep sharpest"
     assert "The blur grows by" in widget.status.value
     choices = widget.align, widget.match_brightness, widget.blend, widget.peak, widget.also
+    choices += (*widget.alignment.fields(),)
     for field in (widget.image, widget.along, widget.px_per_plane, *choices):
         assert len(field.tooltip) > 40
+
+
+@pytest.mark.display
+def test_alignment_is_saved_and_used_for_another_channel(
+    viewer, opened, finish, sweep, tmp_path, messages
+):
+    drifting = np.stack([np.roll(plane, 2 * z, axis=1) for z, plane in enumerate(sweep)])
+    both = np.stack([drifting, np.full_like(drifting, 9)])
+    viewer.add_image(both, name="stack", axis_labels=("c", "z", "y", "x"))
+    widget, file = opened(SharpestPlaneWidget), tmp_path / "motion.json"
+    assert not widget.alignment.save_button.enabled
+    widget.save_alignment(file)
+    assert "no alignment to save yet" in messages()[0]
+    viewer.dims.set_current_step(0, 0)
+    finish(widget)
+    assert widget.alignment.save_button.enabled
+    widget.save_alignment(file)
+    assert "Saved in motion.json: shifts up to" in widget.status.value
+    saved = StackAlignment.load(file)
+    np.testing.assert_allclose(np.diff(saved.shift[:, 1]), 2, atol=0.3)
+    widget.save_alignment(file)
+    assert "exists already" in messages()[1]
+
+    viewer.dims.set_current_step(0, 1)
+    widget.alignment.use.value = file
+    assert not widget.align.enabled
+    finish(widget)
+    made = viewer.layers["stack sharpest"].metadata[METADATA_KEY]
+    assert made["settings"]["align"] == "as given"
+    np.testing.assert_allclose(StackAlignment.from_dict(made["alignment"]).shift, saved.shift)
+    assert "shifts up to" in widget.status.value
+
+    widget.alignment.use.value = tmp_path / "none.json"
+    assert widget.run() is None
+    assert "there is no such file" in messages()[2]
+    StackAlignment.still((50, 60), 7).save(tmp_path / "small.json")
+    widget.alignment.use.value = tmp_path / "small.json"
+    assert widget.run() is None
+    assert "align is of 7 planes of 50 x 60 px; stack has 7 of 90 x 140 px" in messages()[3]
+    widget.alignment.use.value = None
+    assert widget.align.enabled
 
 
 def labelled(viewer, sweep, axes):

@@ -36,6 +36,7 @@ VARIABLE_OF = {
     "confidence": "confidence",
     "in focus": "in_focus",
     "all in focus": "all_in_focus",
+    "left as it was": "left_as_it_was",
     "refocused": "refocused",
     "depth": "depth",
 }
@@ -44,7 +45,8 @@ TRICKY_NAME = "l'œil \"\"\" \\N{x}\nimport os\u2028\ud800#'''"
 RUN = """
 import contextlib, io, pickle, runpy, sys
 scripts, results = sys.argv[1:]
-kept = ("blur_map", "confidence", "in_focus", "all_in_focus", "refocused", "depth")
+kept = ("blur_map", "confidence", "in_focus", "depth")
+kept += ("all_in_focus", "left_as_it_was", "refocused")
 found = {}
 for line in open(scripts, encoding="utf-8"):
     with contextlib.redirect_stderr(io.StringIO()) as said:
@@ -156,6 +158,7 @@ def all_cases(folder):
                 restoration,
                 linearize=None,
                 protect=False,
+                show_left=True,
                 settings=RestorationSettings(noise_variance=1e-4, tv_weight=0.01),
             ),
             None,

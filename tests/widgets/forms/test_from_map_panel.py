@@ -10,12 +10,19 @@ from napari.utils.interactions import mouse_press_callbacks, mouse_release_callb
 import napari_defocus
 from napari_defocus import RestorationFit
 from napari_defocus.widgets.docks.change_focus import PICK, PICKING, ChangeFocusWidget
-from napari_defocus.widgets.docks.single_steps import AllInFocusWidget, BlurMapWidget, DepthWidget
+from napari_defocus.widgets.docks.defocus import DefocusWidget
 from napari_defocus.widgets.layers.picker import value_at
 
 pytestmark = pytest.mark.display
 
-ALL = [AllInFocusWidget, ChangeFocusWidget, DepthWidget]
+RESTORE, REFOCUS, DEPTH = (
+    (DefocusWidget, "restore"),
+    (ChangeFocusWidget, "run"),
+    (DefocusWidget, "estimate_depth"),
+)
+"""Docks, and what is called in them."""
+
+WAYS = pytest.mark.parametrize(("dock", "action"), [RESTORE, REFOCUS, DEPTH])
 
 
 def names(viewer):
@@ -24,34 +31,46 @@ def names(viewer):
 
 def ready(widget):
     """Fill in what has no default."""
-    if isinstance(widget, DepthWidget):
+    if isinstance(widget, DefocusWidget):
         lens = widget.depth.thin_lens
         lens.focal_length.value, lens.f_number.value = "50", "2"
         lens.focus_distance.value, lens.pixel_pitch.value = "2", "50"
     return widget
 
 
+@pytest.fixture
+def done(qtbot):
+    """Call a method of a widget that starts a run, and wait for its end."""
+
+    def wait(widget, action):
+        with qtbot.waitSignal(getattr(widget, action)().finished):
+            pass
+
+    return wait
+
+
 def choose_map(widget, layer):
     widget.reset_choices()
-    widget.blur_map.value = layer
+    field = widget.other_map if isinstance(widget, DefocusWidget) else widget.blur_map
+    field.value = layer
 
 
 def shown(fields):
     return [field for field in fields if not field.native.isHidden()]
 
 
-def test_widgets_make_their_layers_and_those_of_the_map(window, docked, finish, method, texture):
+def test_widgets_make_their_layers_and_those_of_the_map(window, docked, done, method, texture):
     window.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
     shown, of_the_map = ["leaf"], ["leaf blur (px)", "leaf confidence"]
-    for widget_class, made in (
-        (AllInFocusWidget, "leaf all in focus"),
-        (ChangeFocusWidget, "leaf refocused"),
-        (DepthWidget, "leaf depth (m)"),
+    for (dock, action), made in (
+        (RESTORE, "leaf all in focus"),
+        (REFOCUS, "leaf refocused"),
+        (DEPTH, "leaf depth (m)"),
     ):
-        widget = ready(docked(widget_class))
+        widget = ready(docked(dock))
         shown.append(made)
         for _ in range(2):
-            finish(widget)
+            done(widget, action)
             assert names(window) == [*shown[:-1], *of_the_map, made]
         assert len(method.estimations) == len(method.labelings) == 1
         for layer in list(window.layers)[1:]:
@@ -59,10 +78,9 @@ def test_widgets_make_their_layers_and_those_of_the_map(window, docked, finish, 
             assert [str(unit) for unit in layer.units] == ["micrometer", "micrometer"]
             assert layer.axis_labels == ("y", "x")
         assert [layer.name for layer in window.layers if layer.visible] == shown
-        assert [choice and choice.name for choice in widget.blur_map.choices] == [
-            None,
-            "leaf blur (px)",
-        ]
+        if dock is ChangeFocusWidget:
+            choices = [choice and choice.name for choice in widget.blur_map.choices]
+            assert choices == [None, "leaf blur (px)"]
         assert [layer.name for layer in widget.image.choices] == ["leaf"]
         # Each makes the map's layers anew if they are not there.
         for name in of_the_map:
@@ -70,48 +88,44 @@ def test_widgets_make_their_layers_and_those_of_the_map(window, docked, finish, 
 
 
 def test_map_that_was_made_on_the_way_is_shown_once_it_is_asked_for(
-    viewer, opened, finish, method, texture
+    viewer, opened, finish, done, method, texture
 ):
     viewer.add_image(texture, name="leaf")
-    finish(opened(AllInFocusWidget))
-    finish(opened(BlurMapWidget))
+    widget = opened(DefocusWidget)
+    done(widget, "restore")
+    assert not viewer.layers["leaf blur (px)"].visible
+    finish(widget)
     assert viewer.layers["leaf blur (px)"].visible
     assert not viewer.layers["leaf confidence"].visible
     assert len(method.estimations) == 1
 
 
-@pytest.mark.parametrize("widget_class", ALL)
-def test_every_field_explains_itself(opened, widget_class):
-    widget = opened(widget_class)
+def test_every_field_explains_itself(opened):
+    widget, defocus = opened(ChangeFocusWidget), opened(DefocusWidget)
     fields = [
         field
-        for field in widget
+        for field in (*widget, *defocus.restoration.fields(), *defocus.depth.fields())
         if field.native.isEnabled()
         and field.name not in ("", "side_note", "progress", "status", "more")
     ]
-    assert len(fields) > 10
+    assert len(fields) > 20
     for field in fields:
         assert len(field.tooltip) > 40, field.name
 
 
-@pytest.mark.parametrize(
-    ("widget_class", "always"), [(AllInFocusWidget, 2), (ChangeFocusWidget, 1), (DepthWidget, 0)]
-)
-def test_only_what_the_chosen_map_leaves_open_is_asked_for(
-    viewer, opened, finish, method, texture, widget_class, always
-):
+def test_only_what_the_chosen_map_leaves_open_is_asked_for(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    finish(opened(BlurMapWidget))
+    finish(opened(DefocusWidget))
     theirs = viewer.add_image(np.ones(texture.shape), name="theirs")
-    widget = opened(widget_class)
+    widget = opened(ChangeFocusWidget)
     widget.image.value = viewer.layers["leaf"]
     settings = widget.settings
     settings.more.native.click()
     more = len(settings.more_fields())
     for layer, lens, largest, count in (
         (None, True, True, more),
-        (theirs, True, False, always),
-        (viewer.layers["leaf blur (px)"], False, False, always),
+        (theirs, True, False, 1),
+        (viewer.layers["leaf blur (px)"], False, False, 1),
         (None, True, True, more),
     ):
         widget.blur_map.value = layer
@@ -141,23 +155,23 @@ def test_fields_reach_the_method(viewer, opened, finish, method, texture):
     assert (seen["focus"], seen["aperture"], seen["side"]) == (1.5, 2.5, "near")
 
 
-def test_noise_that_grows_leaves_the_noise_to_be_found(viewer, opened, finish, method, texture):
+def test_noise_that_grows_leaves_the_noise_to_be_found(viewer, opened, done, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(AllInFocusWidget)
+    widget = opened(DefocusWidget)
     widget.settings.noise_variance.value = "nonsense that has no say"
     widget.settings.shot_noise.value = True
-    finish(widget)
+    done(widget, "restore")
     assert len(method.noises) == len(method.restorations) == 1
 
 
-@pytest.mark.parametrize("widget_class", ALL)
-def test_map_of_a_layer_is_used(viewer, opened, finish, method, texture, widget_class):
+@WAYS
+def test_map_of_a_layer_is_used(viewer, opened, done, method, texture, dock, action):
     viewer.add_image(texture, name="leaf")
     theirs = viewer.add_image(np.full(texture.shape, 3.0), name="theirs")
-    widget = ready(opened(widget_class))
+    widget = ready(opened(dock))
     widget.image.value = viewer.layers["leaf"]
     choose_map(widget, theirs)
-    finish(widget)
+    done(widget, action)
     assert not method.estimations
     assert len(viewer.layers) == 3
 
@@ -165,7 +179,7 @@ def test_map_of_a_layer_is_used(viewer, opened, finish, method, texture, widget_
 def test_chosen_map_that_is_removed_is_estimated_again(window, docked, texture):
     window.add_image(texture, name="leaf")
     theirs = window.add_image(np.ones(texture.shape), name="theirs")
-    widget = docked(DepthWidget)
+    widget = docked(ChangeFocusWidget)
     widget.image.value = window.layers["leaf"]
     widget.blur_map.value = theirs
     window.layers.remove("theirs")
@@ -315,24 +329,24 @@ def test_value_of_a_layer_is_read_where_it_lies(viewer):
     assert value_at(layer, (12, 10, 0)) is None
 
 
-def test_surface_comes_if_it_is_wanted(viewer, opened, finish, method, texture):
+def test_surface_comes_if_it_is_wanted(viewer, opened, done, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = ready(opened(DepthWidget))
+    widget = ready(opened(DefocusWidget))
     widget.depth.surface.value = True
     widget.depth.min_confidence.value = 0.2
-    finish(widget)
+    done(widget, "estimate_depth")
     assert names(viewer)[-2:] == ["leaf depth (m)", "leaf depth surface"]
     assert viewer.dims.ndisplay == 2
     assert "Not known on 20%" in widget.status.value
 
 
-def test_file_of_the_image_is_offered_and_read(window, docked, finish, tmp_path, texture, messages):
+def test_file_of_the_image_is_offered_and_read(window, docked, tmp_path, texture, messages):
     exif = PIL.Image.Exif()
     exif.get_ifd(0x8769).update({0x829D: 2.8, 0x920A: 35.0, 0xA405: 52})
     file = tmp_path / "photograph.jpg"
     PIL.Image.fromarray((255 * texture).astype(np.uint8)).save(file, exif=exif)
     window.open(file, plugin="napari")
-    widget = docked(DepthWidget)
+    widget = docked(DefocusWidget)
     assert widget.depth.thin_lens.file.value == file
     assert widget.depth.thin_lens.focal_length.value == "", "nothing is read before it is asked for"
     widget.depth.thin_lens.read_button.native.click()
@@ -348,7 +362,7 @@ def test_file_of_the_image_is_offered_and_read(window, docked, finish, tmp_path,
     assert widget.depth.thin_lens.file.value == tmp_path / "chosen.jpg", "it was chosen by hand"
 
 
-@pytest.mark.parametrize("widget_class", [ChangeFocusWidget, DepthWidget])
+@pytest.mark.parametrize("widget_class", [ChangeFocusWidget, DefocusWidget])
 def test_widget_says_what_one_picture_cannot_tell(opened, widget_class):
     widget = opened(widget_class)
     form = getattr(widget, "depth", widget)
@@ -356,9 +370,9 @@ def test_widget_says_what_one_picture_cannot_tell(opened, widget_class):
     assert form.side.value == "far"
 
 
-@pytest.mark.parametrize("widget_class", ALL)
-def test_no_image_is_said_in_plain_words(opened, messages, widget_class):
-    assert opened(widget_class).run() is None
+@WAYS
+def test_no_image_is_said_in_plain_words(opened, messages, dock, action):
+    assert getattr(opened(dock), action)() is None
     assert messages() == ["There is no image to analyse. Open an image first."]
 
 
@@ -381,19 +395,19 @@ def test_fields_that_cannot_be_are_said_before_any_work(
     viewer, opened, method, texture, messages, change, said
 ):
     viewer.add_image(texture, name="leaf")
-    widget = opened(AllInFocusWidget)
+    widget = opened(DefocusWidget)
     change(widget)
-    assert widget.run() is None
+    assert widget.restore() is None
     assert said in messages()[0]
     assert not method.estimations
 
 
 def test_lens_without_numbers_is_said_before_any_work(viewer, opened, method, texture, messages):
     viewer.add_image(texture, name="leaf")
-    widget = opened(DepthWidget)
-    assert widget.run() is None
+    widget = opened(DefocusWidget)
+    assert widget.estimate_depth() is None
     ready(widget).depth.thin_lens.focus_distance.value = "inf"
-    assert widget.run() is None
+    assert widget.estimate_depth() is None
     first, second = messages()
     assert "Fill in the focal length" in first
     assert "Nothing lies behind a focus at infinity" in second
@@ -401,25 +415,25 @@ def test_lens_without_numbers_is_said_before_any_work(viewer, opened, method, te
 
 
 def test_picture_that_is_no_map_is_said_in_plain_words(
-    viewer, opened, finish, method, texture, messages
+    viewer, opened, done, method, texture, messages
 ):
     viewer.add_image(texture, name="leaf")
     theirs = viewer.add_image(200 * texture, name="theirs")
-    widget = opened(AllInFocusWidget)
+    widget = opened(DefocusWidget)
     widget.image.value = viewer.layers["leaf"]
     choose_map(widget, theirs)
-    finish(widget)
+    done(widget, "restore")
     assert messages()[0].startswith("Cannot analyse “leaf”: its blur map “theirs” goes up to")
     assert names(viewer) == ["leaf", "theirs"]
 
 
-@pytest.mark.parametrize("widget_class", ALL)
+@WAYS
 def test_cancel_ends_the_work_at_its_next_report_and_leaves_no_layer(
-    viewer, opened, qtbot, endless_method, texture, messages, widget_class
+    viewer, opened, qtbot, endless_method, texture, messages, dock, action
 ):
     viewer.add_image(texture, name="leaf")
-    widget = ready(opened(widget_class))
-    run = widget.run()
+    widget = ready(opened(dock))
+    run = getattr(widget, action)()
     qtbot.waitUntil(lambda: widget.status.value == "Estimating blur")
     assert widget.run() is run
     with qtbot.waitSignal(run.finished):
@@ -428,13 +442,13 @@ def test_cancel_ends_the_work_at_its_next_report_and_leaves_no_layer(
     assert messages() == []
 
 
-@pytest.mark.parametrize("widget_class", ALL)
+@WAYS
 def test_removed_layer_ends_its_run_without_a_word(
-    viewer, opened, qtbot, endless_method, texture, messages, widget_class
+    viewer, opened, qtbot, endless_method, texture, messages, dock, action
 ):
     viewer.add_image(texture, name="leaf")
-    widget = ready(opened(widget_class))
-    run = widget.run()
+    widget = ready(opened(dock))
+    run = getattr(widget, action)()
     qtbot.waitUntil(lambda: bool(endless_method.estimations))
     with qtbot.waitSignal(run.finished):
         viewer.layers.remove("leaf")
@@ -452,11 +466,11 @@ def test_picture_replaced_while_it_runs_gets_no_result(
         while not go_on:
             progress("Taking the blur away", 0.2)
             time.sleep(0.01)
-        return image, RestorationFit(1e-5, 2e-3, 0.0)
+        return image, RestorationFit(1e-5, 2e-3, 0.0, np.zeros(image.shape[:2], np.float32))
 
     monkeypatch.setitem(vars(napari_defocus), "restore_all_in_focus", restore_all_in_focus)
-    widget = opened(AllInFocusWidget)
-    run = widget.run()
+    widget = opened(DefocusWidget)
+    run = widget.restore()
     layer.data = texture[:50].copy()
     with qtbot.waitSignal(run.finished):
         go_on.append(True)

@@ -10,7 +10,7 @@ from qtpy.QtWidgets import QSlider
 
 import napari_defocus
 from napari_defocus import segment_in_focus, simulate_defocus
-from napari_defocus.widgets.docks.single_steps import BlurMapWidget, InFocusWidget, MapAndMaskWidget
+from napari_defocus.widgets.docks.defocus import DefocusWidget
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.run_panel import PAUSE
 from napari_defocus.widgets.jobs import estimation
@@ -33,7 +33,7 @@ def settled(qtbot):
 @pytest.fixture
 def measured(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(MapAndMaskWidget)
+    widget = opened(DefocusWidget)
     finish(widget)
     assert (len(method.labelings), len(method.segmentations)) == (1, 1)
     return widget
@@ -149,11 +149,11 @@ def test_nothing_follows_if_it_is_not_wanted_until_it_is(measured, settled, meth
 
 def test_nothing_follows_before_there_is_a_result(viewer, opened, settled, method, texture, finish):
     viewer.add_image(texture, name="leaf")
-    finish(opened(BlurMapWidget))
-    widget = opened(InFocusWidget)
+    finish(opened(DefocusWidget))
+    widget = opened(DefocusWidget)
     widget.settings.threshold.value = 3.0
     settled(widget)
-    assert not method.segmentations
+    assert [call["threshold"] for call in method.segmentations] == [2.0], "it has shown nothing"
 
 
 def test_nothing_follows_on_a_picture_that_was_changed(viewer, measured, settled, method):
@@ -226,7 +226,7 @@ def test_large_picture_has_a_rough_mask_first_and_then_that_of_the_function(
 ):
     monkeypatch.setattr(estimation, "LARGE", 1000)
     viewer.add_image(stones, name="stones")
-    widget = opened(MapAndMaskWidget)
+    widget = opened(DefocusWidget)
     rough = []
     run = widget.run()
     run.previewed.connect(lambda layers: rough.append([made["name"] for _, made, _ in layers]))
@@ -250,7 +250,7 @@ def test_slider_and_brush_of_a_real_window(
 ):
     window = make_napari_viewer_proxy(show=True)
     window.add_image(texture, name="leaf")
-    widget = MapAndMaskWidget(window)
+    widget = DefocusWidget(window)
     window.window.add_dock_widget(widget)
     widget.run_button.native.click()
     qtbot.waitUntil(lambda: widget._running is None and "leaf in focus" in window.layers)

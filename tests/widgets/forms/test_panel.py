@@ -7,33 +7,23 @@ import napari_defocus
 from napari_defocus import Annulus, GeneralizedGaussian, ShotNoise, simulate_defocus
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.widgets.display.add_results import add_results
-from napari_defocus.widgets.docks.single_steps import BlurMapWidget, InFocusWidget, MapAndMaskWidget
+from napari_defocus.widgets.docks.change_focus import ChangeFocusWidget
+from napari_defocus.widgets.docks.defocus import DefocusWidget
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 
 pytestmark = pytest.mark.display
 
-ALL = [BlurMapWidget, InFocusWidget, MapAndMaskWidget]
+MADE = ["leaf blur (px)", "leaf confidence", "leaf in focus", "leaf not trusted"]
 
 
 def names(viewer):
     return [layer.name for layer in viewer.layers]
 
 
-@pytest.mark.parametrize(
-    ("widget_class", "made"),
-    [
-        (BlurMapWidget, ["leaf blur (px)", "leaf confidence", "leaf not trusted"]),
-        (InFocusWidget, ["leaf in focus"]),
-        (
-            MapAndMaskWidget,
-            ["leaf blur (px)", "leaf confidence", "leaf in focus", "leaf not trusted"],
-        ),
-    ],
-)
-def test_widget_makes_its_layers(viewer, opened, finish, method, texture, widget_class, made):
+def test_widget_makes_its_layers(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf", scale=(2, 3), units=("um", "um"), axis_labels=("y", "x"))
-    finish(opened(widget_class))
-    assert names(viewer) == ["leaf", *made]
+    finish(opened(DefocusWidget))
+    assert names(viewer) == ["leaf", *MADE]
     for layer in list(viewer.layers)[1:]:
         assert tuple(layer.scale) == (2, 3)
         assert [str(unit) for unit in layer.units] == ["micrometer", "micrometer"]
@@ -43,29 +33,27 @@ def test_widget_makes_its_layers(viewer, opened, finish, method, texture, widget
 
 def test_colour_bar_of_the_map_is_shown(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    finish(opened(MapAndMaskWidget))
+    finish(opened(DefocusWidget))
     blur_map = viewer.layers["leaf blur (px)"]
     assert blur_map.colorbar.visible
     assert tuple(blur_map.contrast_limits) == (0.0, 8.0)
 
 
-@pytest.mark.parametrize("widget_class", ALL)
-def test_form_starts_with_the_defaults_of_the_method(viewer, opened, widget_class):
-    settings = opened(widget_class).settings
+def test_form_starts_with_the_defaults_of_the_method(viewer, opened):
+    settings = opened(DefocusWidget).settings
     assert settings.map_settings() == MapSettings()
-    assert settings.mask_settings() in (None, MaskSettings())
+    assert settings.mask_settings() == MaskSettings()
 
 
-@pytest.mark.parametrize("widget_class", ALL)
-def test_every_field_explains_itself(viewer, opened, widget_class):
-    widget = opened(widget_class)
+def test_every_field_explains_itself(viewer, opened):
+    widget = opened(DefocusWidget)
     for field in (widget.image, widget.seeds, widget.seeds_button, *widget.settings.fields()):
         assert len(field.tooltip) > 40
 
 
 def test_form_reaches_the_method(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(MapAndMaskWidget)
+    widget = opened(DefocusWidget)
     widget.settings.noise_variance.value = "1e-4"
     widget.settings.max_radius.value = 5
     widget.settings.threshold.value = 3
@@ -80,7 +68,7 @@ def test_form_reaches_the_method(viewer, opened, finish, method, texture):
 
 def test_lens_light_and_noise_of_the_form_reach_the_method(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.settings.lens.take("generalized-gaussian:4")
     widget.settings.linear_light.value = True
     widget.settings.noise_variance.value = "nonsense that has no say"
@@ -96,18 +84,18 @@ def test_lens_light_and_noise_of_the_form_reach_the_method(viewer, opened, finis
 
 def test_no_confidence_layer_if_it_is_not_wanted(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.settings.confidence.value = False
     assert not widget.settings.min_confidence.enabled
     finish(widget)
-    assert names(viewer) == ["leaf", "leaf blur (px)"]
+    assert names(viewer) == ["leaf", "leaf blur (px)", "leaf in focus"]
 
 
 def test_hiding_what_is_not_trusted_does_not_estimate_again(
     viewer, opened, finish, method, texture
 ):
     viewer.add_image(texture, name="leaf", scale=(2, 3))
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.settings.min_confidence.value = 0.25
     assert names(viewer) == ["leaf"], "there is nothing to hide yet"
     finish(widget)
@@ -119,12 +107,12 @@ def test_hiding_what_is_not_trusted_does_not_estimate_again(
         np.testing.assert_array_equal(cover.data, confidence < limit)
     assert tuple(cover.scale) == (2, 3)
     assert len(method.estimations) == len(method.labelings) == 1
-    assert len(viewer.layers) == 4
+    assert len(viewer.layers) == 5
 
 
 def test_cover_is_of_the_newest_of_several_results(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.settings.min_confidence.value = 0.25
     finish(widget)
     cover, sure = viewer.layers["leaf not trusted"], viewer.layers["leaf confidence"]
@@ -141,7 +129,7 @@ def test_cover_is_of_the_newest_of_several_results(viewer, opened, finish, metho
 
 def test_nothing_is_covered_if_it_is_not_wanted(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     assert widget.settings.min_confidence.value == 0.5
     widget.settings.min_confidence.value = 0.0
     finish(widget)
@@ -149,7 +137,7 @@ def test_nothing_is_covered_if_it_is_not_wanted(viewer, opened, finish, method, 
 
 
 def test_only_the_fields_that_the_lens_needs_are_shown(viewer, opened):
-    lens = opened(BlurMapWidget).settings.lens
+    lens = opened(DefocusWidget).settings.lens
     for name, needed in {
         "disc": [],
         "polygon": [lens.blades, lens.rotation],
@@ -164,11 +152,11 @@ def test_only_the_fields_that_the_lens_needs_are_shown(viewer, opened):
 
 
 def test_more_settings_are_hidden_until_they_are_asked_for(viewer, opened):
-    settings = opened(MapAndMaskWidget).settings
+    settings = opened(ChangeFocusWidget).settings
     for shown in (False, True, False):
         hidden = {field.native.isHidden() for field in settings.more_fields()}
         assert hidden == {not shown}
-        assert not settings.threshold.native.isHidden()
+        assert not settings.max_radius.native.isHidden()
         settings.more.native.click()
 
 
@@ -177,7 +165,7 @@ def test_which_lens_fits_is_shown_and_taken(viewer, opened, qtbot, gravel):
     seen = simulate_defocus(gravel, radius, psf=Annulus(0.5), noise_variance=1e-6, rng=0)
     viewer.add_image(seen.astype(np.float32), name="gravel")
     viewer.add_image(gravel, name="other")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.image.value = viewer.layers["gravel"]
     assert widget.comparison.best_button.native.isHidden()
     with qtbot.waitSignal(widget.compare().finished):
@@ -199,7 +187,7 @@ def test_comparison_of_a_picture_without_texture_is_said_in_plain_words(
     viewer, opened, qtbot, messages
 ):
     viewer.add_image(np.zeros((60, 60), np.uint8), name="black")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     with qtbot.waitSignal(widget.compare().finished):
         pass
     assert "no texture" in messages()[0]
@@ -208,7 +196,7 @@ def test_comparison_of_a_picture_without_texture_is_said_in_plain_words(
 
 def test_measured_lens_without_a_file_is_said_in_plain_words(viewer, opened, texture, messages):
     viewer.add_image(texture)
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.settings.lens.lens.value = "measured"
     assert widget.run() is None
     assert widget.compare() is None
@@ -220,22 +208,21 @@ def test_measured_lens_without_a_file_is_said_in_plain_words(viewer, opened, tex
 
 def test_second_threshold_does_not_estimate_again(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    widget = opened(InFocusWidget)
+    widget = opened(DefocusWidget)
     finish(widget)
     assert viewer.layers["leaf in focus"].data.max() == 0
     widget.settings.threshold.value = 3
     finish(widget)
     assert viewer.layers["leaf in focus"].data.min() == 1
     assert len(method.estimations) == 1
-    assert len(viewer.layers) == 2
+    assert len(viewer.layers) == 5
 
 
-@pytest.mark.parametrize("widget_class", [InFocusWidget])
 def test_painted_seeds_reach_the_mask_without_another_estimation(
-    window, docked, finish, method, texture, widget_class
+    window, docked, finish, method, texture
 ):
     window.add_image(texture, name="leaf", scale=(2, 3))
-    widget = docked(widget_class)
+    widget = docked(DefocusWidget)
     finish(widget)
     assert method.segmentations[0]["seeds"] is None
     widget.seeds_button.native.click()
@@ -257,7 +244,7 @@ def test_painted_seeds_reach_the_mask_without_another_estimation(
 
 def test_seeds_are_any_labels_but_results(window, docked, finish, method, texture):
     window.add_image(texture, name="leaf")
-    widget = docked(InFocusWidget)
+    widget = docked(DefocusWidget)
     finish(widget)
     window.add_labels(np.zeros(texture.shape, int), name="mine")
     widget.seeds_button.native.click()
@@ -270,7 +257,7 @@ def test_seeds_are_any_labels_but_results(window, docked, finish, method, textur
 def test_seeds_that_do_not_fit_are_said_in_plain_words(viewer, opened, method, texture, messages):
     viewer.add_image(texture, name="leaf")
     viewer.add_labels(np.full(texture.shape, 7), name="cells")
-    widget = opened(InFocusWidget)
+    widget = opened(DefocusWidget)
     widget.seeds.value = viewer.layers["cells"]
     assert widget.run() is None
     assert messages() == [
@@ -280,14 +267,14 @@ def test_seeds_that_do_not_fit_are_said_in_plain_words(viewer, opened, method, t
 
 
 def test_seeds_without_an_image_are_said_in_plain_words(viewer, opened, messages):
-    assert opened(InFocusWidget).add_seeds() is None
+    assert opened(DefocusWidget).add_seeds() is None
     assert messages() == ["There is no image to paint seeds on. Open an image first."]
 
 
-def test_mask_reuses_the_estimation_of_the_map_widget(viewer, opened, finish, method, texture):
+def test_a_second_dock_reuses_the_estimation_of_the_first(viewer, opened, finish, method, texture):
     viewer.add_image(texture, name="leaf")
-    finish(opened(BlurMapWidget))
-    finish(opened(InFocusWidget))
+    finish(opened(DefocusWidget))
+    finish(opened(DefocusWidget))
     assert len(method.estimations) == 1
 
 
@@ -295,7 +282,7 @@ def test_cancel_ends_the_work_at_its_next_report_and_leaves_no_layer(
     viewer, opened, qtbot, endless_method, texture, messages
 ):
     viewer.add_image(texture, name="leaf")
-    widget = opened(MapAndMaskWidget)
+    widget = opened(DefocusWidget)
     run = widget.run()
     qtbot.waitUntil(lambda: widget.status.value == "Estimating blur")
     assert not widget.run_button.enabled
@@ -310,7 +297,7 @@ def test_cancel_ends_the_work_at_its_next_report_and_leaves_no_layer(
 
 def test_refusal_stays_in_the_form_when_the_message_has_gone(viewer, opened, finish, messages):
     viewer.add_image(np.ones((1, 1)), name="dot")
-    widget = opened(MapAndMaskWidget)
+    widget = opened(DefocusWidget)
     finish(widget)
     assert [widget.status.value] == messages()
     assert "“dot”" in widget.status.value
@@ -318,7 +305,7 @@ def test_refusal_stays_in_the_form_when_the_message_has_gone(viewer, opened, fin
 
 def test_cancel_in_naparis_activity_list_acts_too(window, docked, qtbot, endless_method, texture):
     window.add_image(texture, name="leaf")
-    widget = docked(BlurMapWidget)
+    widget = docked(DefocusWidget)
     run = widget.run()
     qtbot.waitUntil(lambda: bool(endless_method.estimations))
     with qtbot.waitSignal(run.finished):
@@ -328,7 +315,7 @@ def test_cancel_in_naparis_activity_list_acts_too(window, docked, qtbot, endless
 
 def test_run_while_one_runs_is_the_one_that_runs(viewer, opened, qtbot, endless_method, texture):
     viewer.add_image(texture)
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     run = widget.run()
     assert widget.run() is run
     with qtbot.waitSignal(run.finished):
@@ -341,7 +328,7 @@ def test_removed_layer_ends_its_run_without_a_word(
 ):
     viewer.add_image(texture, name="leaf")
     viewer.add_image(texture, name="other")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.image.value = viewer.layers["leaf"]
     run = widget.run()
     qtbot.waitUntil(lambda: bool(endless_method.estimations))
@@ -353,7 +340,7 @@ def test_removed_layer_ends_its_run_without_a_word(
 
 def test_deleted_layer_takes_its_candidates_with_it(window, docked, finish, method, texture, qtbot):
     window.add_image(texture, name="leaf")
-    finish(docked(BlurMapWidget))
+    finish(docked(DefocusWidget))
     assert len(ImagePanel.cache.analysed) == 1
     window.layers.clear()
     qtbot.waitUntil(lambda: collected() and len(ImagePanel.cache.analysed) == 0)
@@ -379,7 +366,7 @@ def test_picture_replaced_while_it_runs_gets_no_result(
         return method.estimate_candidates(image, progress=progress, **arguments)
 
     monkeypatch.setitem(vars(napari_defocus), "estimate_candidates", estimate_candidates)
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     run = widget.run()
     layer.data = texture[:50].copy()
     with qtbot.waitSignal(run.finished):
@@ -390,14 +377,14 @@ def test_picture_replaced_while_it_runs_gets_no_result(
 
 def test_no_image_is_said_in_plain_words(viewer, opened, messages):
     viewer.add_labels(np.zeros((20, 20), int))
-    assert opened(BlurMapWidget).run() is None
+    assert opened(DefocusWidget).run() is None
     assert messages() == ["There is no image to analyse. Open an image first."]
 
 
 def test_infinity_is_said_in_plain_words(viewer, opened, finish, method, texture, messages):
     texture[3, 4] = np.inf
     viewer.add_image(texture, name="leaf")
-    finish(opened(BlurMapWidget))
+    finish(opened(DefocusWidget))
     [message] = messages()
     assert message.startswith("Cannot analyse “leaf”: it has infinite pixels")
     assert names(viewer) == ["leaf"]
@@ -405,7 +392,7 @@ def test_infinity_is_said_in_plain_words(viewer, opened, finish, method, texture
 
 def test_too_small_a_picture_is_said_in_plain_words(viewer, opened, finish, messages):
     viewer.add_image(np.zeros((2, 40), np.uint8), name="line")
-    finish(opened(BlurMapWidget))
+    finish(opened(DefocusWidget))
     [message] = messages()
     assert message.startswith("Cannot analyse “line”:")
     assert "at least 3 px" in message
@@ -414,13 +401,13 @@ def test_too_small_a_picture_is_said_in_plain_words(viewer, opened, finish, mess
 def test_volume_rendering_is_said_in_plain_words(viewer, opened, messages):
     viewer.add_image(np.zeros((5, 40, 40), np.uint8), name="stack")
     viewer.dims.ndisplay = 3
-    assert opened(BlurMapWidget).run() is None
+    assert opened(DefocusWidget).run() is None
     assert "Switch the viewer to 2-D" in messages()[0]
 
 
 def test_noise_variance_that_is_no_number_is_said_in_plain_words(viewer, opened, texture, messages):
     viewer.add_image(texture)
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     widget.settings.noise_variance.value = "low"
     assert widget.run() is None
     assert "Type a number such as 1e-5" in messages()[0]
@@ -433,13 +420,13 @@ def test_defect_of_the_method_is_reported_once_and_the_widget_goes_on(
         raise RuntimeError("a defect")
 
     viewer.add_image(texture, name="leaf")
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     with monkeypatch.context() as patched:
         patched.setitem(vars(napari_defocus), "estimate_candidates", broken)
         finish(widget)
     assert messages() == ["a defect"]
     finish(widget)
-    assert names(viewer) == ["leaf", "leaf blur (px)", "leaf confidence", "leaf not trusted"]
+    assert names(viewer) == ["leaf", *MADE]
 
 
 def test_active_image_is_chosen_and_results_are_not_offered(
@@ -448,7 +435,7 @@ def test_active_image_is_chosen_and_results_are_not_offered(
     viewer.add_image(texture, name="first")
     viewer.add_image(texture, name="second")
     viewer.layers.selection.active = viewer.layers["second"]
-    widget = opened(BlurMapWidget)
+    widget = opened(DefocusWidget)
     assert widget.image.value.name == "second"
     finish(widget)
     assert [layer.name for layer in widget.image.choices] == ["first", "second"]
@@ -457,7 +444,7 @@ def test_active_image_is_chosen_and_results_are_not_offered(
 
 def test_closing_the_widget_ends_its_run(window, docked, qtbot, endless_method, texture, messages):
     window.add_image(texture, name="leaf")
-    widget = docked(BlurMapWidget)
+    widget = docked(DefocusWidget)
     run = widget.run()
     qtbot.waitUntil(lambda: bool(endless_method.estimations))
     with qtbot.waitSignal(run.finished):

@@ -61,6 +61,12 @@ def test_nothing_is_made_up(form):
     assert texts(form) == [""] * 4
     with pytest.raises(ValueError, match="focal length, f-number, focus distance and pixel pitch"):
         form.lens()
+    fill(form, "50", "2", "1", "")
+    rule = "Pixel pitch in µm = 1000 x sensor width in mm / picture width in px"
+    with pytest.raises(ValueError, match=rule):
+        form.lens()
+    with pytest.raises(ValueError, match=r"for 900 px that is 40 with 36 mm \(full frame\)"):
+        form.lens((600, 900))
     fill(form, "50", "2", "", "4")
     with pytest.raises(ValueError, match="Fill in the focus distance of the lens"):
         form.lens()
@@ -90,6 +96,7 @@ def test_photograph_fills_in_what_it_notes(form, photograph):
     assert form.lens().pixel_pitch_um == pytest.approx(40.4, abs=0.05)
     assert said.splitlines() == [
         "photograph.jpg notes focal length, f-number and pixel pitch.",
+        "The pixel pitch is worked out from its focal length on 35 mm film, which is rounded.",
         "Not noted: focus distance. Please fill in.",
     ]
 
@@ -113,6 +120,8 @@ def test_pitch_of_the_photosites_needs_no_focal_length(form, photograph):
     form.file.value = photograph({X_RESOLUTION: 2000.0, RESOLUTION_UNIT: 3})
     form.read(None)
     assert texts(form) == ["", "", "", "5"]
+    form.file.value = photograph({X_RESOLUTION: 2000.0, RESOLUTION_UNIT: 3})
+    assert "The pixel pitch is from the resolution of its focal plane." in form.read(None)
     form.file.value = photograph({IN_35_MM: 52})
     form.pixel_pitch.value = ""
     form.read(None)
@@ -124,7 +133,9 @@ def test_pitch_of_the_photosites_needs_no_focal_length(form, photograph):
 
 def test_photograph_that_notes_nothing_is_said_so(form, photograph):
     form.file.value = photograph({})
-    assert form.read(None).startswith("photograph.jpg notes nothing.")
+    said = form.read(None)
+    assert said.startswith("photograph.jpg notes nothing.")
+    assert "for 600 px that is 60 with 36 mm (full frame)" in said
 
 
 def test_file_that_is_missing_is_said_in_plain_words(form, tmp_path):

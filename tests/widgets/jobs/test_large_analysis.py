@@ -23,7 +23,6 @@ from napari_defocus.widgets.display.cursor_text import text_under_cursor
 from napari_defocus.widgets.display.probing import NothingKnownError, probed
 from napari_defocus.widgets.display.region_table import add_regions
 from napari_defocus.widgets.docks.defocus import DefocusWidget
-from napari_defocus.widgets.docks.single_steps import MapAndMaskWidget
 from napari_defocus.widgets.export.map_files import save_map
 from napari_defocus.widgets.export.stores import NotAMapError, write_store
 from napari_defocus.widgets.jobs import large_analysis, stack_analysis
@@ -391,7 +390,7 @@ def test_form_asks_where_to_keep_only_what_is_large(
     monkeypatch.setattr(stack_analysis, "MOST_IN_MEMORY", 100_000)
     viewer.add_image(np.zeros((20, 30, 40), np.uint8), name="stack")
     viewer.add_image(np.zeros((600, 700), np.uint8), name="slide", scale=(2, 3))
-    widget = opened(MapAndMaskWidget)
+    widget = opened(DefocusWidget)
     widget.show()
     assert widget.keep_in.visible
     widget.image.value = viewer.layers["stack"]
@@ -427,7 +426,7 @@ def test_in_memory_and_large_results_take_each_others_place(
     viewer, opened, finish, quick, texture, monkeypatch
 ):
     layer = viewer.add_image(texture, name="slide")
-    widget = opened(MapAndMaskWidget)
+    widget = opened(DefocusWidget)
     finish(widget)
     assert not viewer.layers["slide blur (px)"].multiscale
     monkeypatch.setattr(large_analysis, "LARGEST_IN_MEMORY", 1000)

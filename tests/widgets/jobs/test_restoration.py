@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import dask.array as da
 import numpy as np
 import pytest
 from napari.layers import Image
 
-from napari_defocus import Disc
+import napari_defocus
+from napari_defocus import Disc, RestorationFit
 from napari_defocus.settings import MapSettings, RefocusSettings, RestorationSettings
 from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.jobs.analysis import Analysis
@@ -64,6 +67,33 @@ def test_picture_all_in_focus_lies_on_the_picture_above_its_map(viewer, leaf, me
     assert made["settings"]["restoration"]["tv_weight"] is None
     assert made["noise_variance"] > 0
     assert "(found)" in results.summary
+
+
+@pytest.mark.parametrize("refocused", [False, True])
+def test_what_is_left_as_it_was_is_a_veil_over_the_picture_if_asked_for(
+    viewer, leaf, method, refocused
+):
+    asked = replace(restoration(viewer, leaf), show_left=True)
+    if refocused:
+        asked = Refocusing(restoration=asked, view=RefocusSettings(focus=2.0))
+    results = asked.run(JobCache())
+    *_, veil = add_results(viewer, results.layers)
+    assert veil is viewer.layers[-1]
+    assert veil.name == "leaf left as it was"
+    assert (veil.data == 0.125).all()
+    assert veil.colormap.map(np.array([0.0, 1.0]))[:, 3] == pytest.approx([0.0, 0.6], abs=0.01)
+    np.testing.assert_allclose(veil.data_to_world((3, 4)), leaf.data_to_world((3, 4)))
+    assert "12% of the picture was left as it was" in results.summary
+
+
+def test_a_veil_over_nothing_is_said_to_be_one(viewer, leaf, method, monkeypatch):
+    fit = RestorationFit(1e-5, 2e-3, 0.0, np.zeros(leaf.data.shape, np.float32))
+    sharp = np.full(leaf.data.shape, 0.25, np.float32)
+    monkeypatch.setitem(vars(napari_defocus), "restore_all_in_focus", lambda *_, **__: (sharp, fit))
+    said = "Less than 1% of the picture was left as it was."
+    for asked in (True, False):
+        results = replace(restoration(viewer, leaf), show_left=asked).run(JobCache())
+        assert (said in results.summary) == asked
 
 
 def test_what_the_blur_map_widget_has_estimated_is_used(viewer, leaf, method):

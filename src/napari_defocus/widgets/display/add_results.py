@@ -19,8 +19,10 @@ from napari_defocus.widgets.layers.result_metadata import (
     BEST_FOCUS,
     BLUR_MAP,
     CONFIDENCE,
+    DEFOCUS,
     DEPTH,
     FOCUS_CONFIDENCE,
+    HEIGHT,
     IN_FOCUS,
     METADATA_KEY,
     PLACEMENT,
@@ -34,7 +36,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     run_of,
 )
 
-_WITH_COLOR_BAR = (BLUR_MAP, CONFIDENCE, DEPTH, BEST_FOCUS, FOCUS_CONFIDENCE)
+_WITH_COLOR_BAR = (BLUR_MAP, DEFOCUS, CONFIDENCE, DEPTH, BEST_FOCUS, HEIGHT, FOCUS_CONFIDENCE)
 
 OUTLINE = 2
 """How wide the outline of a mask is inside of it, in px; a wider one takes napari long to draw."""
@@ -169,7 +171,7 @@ def show_color_bar(layer: Layer) -> None:
     Maps that are often shown together have their bars in different corners: side by side in one,
     their names would be wider than small windows.
     """
-    corner = "top_left" if made_by_us(layer) == DEPTH else "top_right"
+    corner = "top_left" if made_by_us(layer) in (DEFOCUS, DEPTH) else "top_right"
     corner = "bottom_right" if region_of_result(layer) else corner
     for overlay in (layer.colorbar, layer.name_overlay):
         overlay.position = corner

@@ -138,7 +138,7 @@ def shown_planes(layer: Image, dims: Dims) -> tuple[int, ...]:
 def curve_along(curve: FocusCurve, layer: Image, dims: Dims, slider: int) -> FocusCurve | None:
     """Return the part of a stack's curve along one of `sliders_of`, where the others stand.
 
-    It has one axis and no confidence; it is None if the stack has got another shape since.
+    It has one axis; it is None if the stack has got another shape since.
     """
     from napari_defocus import FocusCurve
 
@@ -146,7 +146,7 @@ def curve_along(curve: FocusCurve, layer: Image, dims: Dims, slider: int) -> Foc
         return None
     at: list[int | slice] = list(shown_planes(layer, dims))
     at[slider] = slice(None)
-    return FocusCurve(
-        share_in_focus=curve.share_in_focus[tuple(at)],
-        median_radius=curve.median_radius[tuple(at)],
-    )
+    parts: dict[str, Any] = {
+        name: None if values is None else values[tuple(at)] for name, values in vars(curve).items()
+    }
+    return FocusCurve(**parts)

@@ -12,13 +12,16 @@ from typing import Any
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
 
-from napari_defocus.psf import BLUR_RADIUS
+from napari_defocus.psf import BLUR_RADIUS, MICROSCOPE
+from napari_defocus.psf.microscope import Microscope
+from napari_defocus.psf.parsing import psf_from_text
 from napari_defocus.settings import CONFIDENT, UNKNOWN
 from napari_defocus.widgets.layers.image_layers import unwrapped
 from napari_defocus.widgets.layers.picker import value_at
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
+    DEFOCUS,
     IN_FOCUS,
     METADATA_KEY,
     NOT_TRUSTED,
@@ -29,7 +32,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     scale_prefix,
 )
 
-_DESCRIBED = (BLUR_MAP, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
+_DESCRIBED = (BLUR_MAP, DEFOCUS, CONFIDENCE, IN_FOCUS, NOT_TRUSTED)
 """Results whose own value, as napari tells it, says nothing more."""
 
 AS_AROUND = "like its surroundings"
@@ -96,7 +99,7 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     words = []
     if blur_map is not None and scale is not None:
         name = str(blur_map.metadata[METADATA_KEY].get("scale", BLUR_RADIUS))
-        words.append(f"{scale_prefix(name)}{scale:.1f} px")
+        words.append(f"{scale_prefix(name)}{scale:.1f} px{_in_um(blur_map, scale)}")
     trusted = True
     if confidence is not None and sure is not None:
         trusted = sure >= at.least_confidence(confidence)
@@ -106,6 +109,16 @@ def text_under_cursor(viewer: ViewerModel) -> str:
     if mask_layer is not None and mask is not None:
         words.append(_focus(mask_layer, mask, scale, known=trusted))
     return ", ".join(words)
+
+
+def _in_um(blur_map: Layer, scale: float) -> str:
+    """Return a blur in um of defocus, if a microscope measured it."""
+    settings = blur_map.metadata[METADATA_KEY].get("settings")
+    psf = str(settings.get("psf")) if isinstance(settings, dict) else ""
+    if not psf.startswith(MICROSCOPE):
+        return ""
+    lens = psf_from_text(psf)
+    return f" = {lens.defocus_um(scale):.2f} µm" if isinstance(lens, Microscope) else ""
 
 
 def _reason(sure: float) -> str:

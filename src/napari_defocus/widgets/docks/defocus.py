@@ -81,7 +81,7 @@ class DefocusWidget(DefocusPanel):
             tooltip="Add the distances that the blur stands for, with the lens above.",
         )
         self.tour = Tour(self.open_sample, self.end_tour) if wants_tour() else None
-        super().__init__(napari_viewer, blur_map=True, mask=True, action="Measure")
+        super().__init__(napari_viewer, action="Measure")
 
     def _fields(self) -> list[Widget]:
         self.other_map = MapBox(
@@ -227,7 +227,7 @@ class DefocusWidget(DefocusPanel):
         self.tools.refresh_probe()
 
     def add_seeds(self) -> Any:
-        """Add a layer for seeds, see `DefocusPanel.add_seeds`, and show what goes with it."""
+        """Add a layer for seeds, see `AnalysisPanel.add_seeds`, and show what goes with it."""
         self.pages.show(MASK)
         return super().add_seeds()
 

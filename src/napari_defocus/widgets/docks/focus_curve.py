@@ -8,11 +8,11 @@ from napari.components import ViewerModel
 from napari.layers import Labels, Layer
 from napari.utils.notifications import show_error, show_warning
 from qtpy.QtCore import QTimer
-from qtpy.QtWidgets import QFileDialog
 
 from napari_defocus import FocusCurve
 from napari_defocus.widgets.display.blur_map_stack import curve_along, shown_planes, sliders_of
 from napari_defocus.widgets.export.map_files import saving_failure
+from napari_defocus.widgets.forms.file_dialogs import asked_where
 from napari_defocus.widgets.forms.focus_curve_form import FocusCurveForm
 from napari_defocus.widgets.forms.focus_curve_plot import FocusCurvePlot
 from napari_defocus.widgets.forms.run_panel import RunPanel
@@ -54,7 +54,8 @@ class FocusCurveWidget(RunPanel):
         self.best_button = PushButton(
             name="best",
             text="Go to the sharpest plane",
-            tooltip="Show the plane with the most in focus; of several, the least blurred one.",
+            tooltip="Show the plane with the most in focus; of several with about as much, the "
+            "least blurred one.",
         )
         self.save_button = PushButton(
             name="save_curve",
@@ -192,7 +193,8 @@ class FocusCurveWidget(RunPanel):
             self.say("Nothing is known of these planes.")
             return
         share, radius = curve.share_in_focus[curve.best], curve.median_radius[curve.best]
-        self.say(f"Sharpest: plane {curve.best[0]}, {share:.0%} in focus, median {radius:.2f} px")
+        found = f"Sharpest: plane {curve.best[0]}, {share:.0%} in focus, median {radius:.2f} px"
+        self.say(f"{found}\nIt rests on {curve.rests_on}.")
 
     def _on_dims(self, _: Any = None) -> None:
         if self._closed or self._shown_curve() is None:
@@ -239,7 +241,10 @@ class FocusCurveWidget(RunPanel):
             show_warning("There is no curve to save yet.")
             return
         if path is None:
-            path, overwrite = self._asked_path()
+            suggested = f"{self.form.blur_maps.current_choice} focus.csv"
+            path, overwrite = asked_where(
+                self.native, "Save the focus curve", suggested, "Tables (*.csv)"
+            )
         if path is None:
             return
         try:
@@ -248,18 +253,6 @@ class FocusCurveWidget(RunPanel):
             show_error(saving_failure(reason))
         else:
             self.say(f"Saved in {path.name}")
-
-    def _asked_path(self) -> tuple[Path | None, bool]:
-        """Ask for a file; also tell whether it may be replaced."""
-        suggested = f"{self.form.blur_maps.current_choice} focus.csv"
-        chosen, _ = QFileDialog.getSaveFileName(
-            self.native, "Save the focus curve", suggested, "Tables (*.csv)"
-        )
-        if not chosen:
-            return None, False
-        # The dialog has asked about the name as it was typed only.
-        path = Path(chosen)
-        return (path, True) if path.suffix else (path.with_suffix(".csv"), False)
 
     def _on_closed(self) -> None:
         super()._on_closed()

@@ -1,13 +1,19 @@
 """The widget that finds where each pixel of a stack is in focus."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from magicgui.widgets import CheckBox, ComboBox
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
+from napari.utils.notifications import show_error, show_warning
 
+from napari_defocus import StackAlignment
 from napari_defocus.core.axes import CHOSEN_BY, known_axis
+from napari_defocus.widgets.export.map_files import saving_failure
+from napari_defocus.widgets.forms.alignment_fields import AlignmentFields
+from napari_defocus.widgets.forms.file_dialogs import asked_where
 from napari_defocus.widgets.forms.image_panel import ImagePanel
 from napari_defocus.widgets.forms.settings_form import SettingsForm, automatic_field, number_or_none
 from napari_defocus.widgets.forms.slider_number import SliderNumber
@@ -15,7 +21,13 @@ from napari_defocus.widgets.forms.workers import Run
 from napari_defocus.widgets.jobs.focus_stacking import CHANNELS_ONLY, NO_PLANES, FocusStacking
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, finest, shown_plane
 from napari_defocus.widgets.layers.preferences import preferred_settings
-from napari_defocus.widgets.layers.result_metadata import Results
+from napari_defocus.widgets.layers.result_metadata import (
+    ALIGNMENT,
+    METADATA_KEY,
+    SHARPEST,
+    Results,
+    layer_of_result,
+)
 
 
 def _choice(name: str, label: str, tooltip: str) -> ComboBox:
@@ -39,6 +51,8 @@ class SharpestPlaneWidget(ImagePanel):
     align, match_brightness, peak : magicgui.widgets.ComboBox
         Whether planes are laid on each other first, and made equally bright; and which plane is
         meant where two are sharp.
+    alignment : AlignmentFields
+        Motion that was found before, and what keeps it.
     blend : magicgui.widgets.CheckBox
         Whether planes are blended.
     also : magicgui.widgets.ComboBox
@@ -71,6 +85,7 @@ class SharpestPlaneWidget(ImagePanel):
             "Lay planes that drift, turn or are magnified on the middle one first: if motion is "
             "surely there, always, or never.",
         )
+        self.alignment = AlignmentFields()
         self.match_brightness = _choice(
             "match_brightness",
             "even brightness",
@@ -110,6 +125,7 @@ class SharpestPlaneWidget(ImagePanel):
                 self.time,
                 self.px_per_plane,
                 self.align,
+                *self.alignment.fields(),
                 self.match_brightness,
                 self.blend,
                 self.peak,
@@ -122,10 +138,14 @@ class SharpestPlaneWidget(ImagePanel):
         )
         settings.take(preferred_settings().map, preferred_settings().mask)
         settings.shot_noise.value = False
+        settings.lens.microscope.attach(self.image)
         settings.show_needed(estimating=True, lens=True)
         settings.show_more(False)
         self.image.changed.connect(lambda _: self._on_image())
         self.along.changed.connect(lambda _: self._follow_sliders())
+        self.alignment.use.changed.connect(lambda _: self._show_alignment())
+        self.alignment.save_button.clicked.connect(lambda _: self.save_alignment())
+        napari_viewer.layers.events.removed.connect(self._show_alignment)
         napari_viewer.dims.events.point.connect(self._follow_sliders)
         napari_viewer.dims.events.order.connect(self._on_order)
         self._choose_active()
@@ -168,6 +188,47 @@ class SharpestPlaneWidget(ImagePanel):
         self.also.reset_choices()
         self.also.visible = len(self.also.choices) > 1
         self._follow_sliders()
+        self._show_alignment()
+
+    def _show_alignment(self, _: Any = None) -> None:
+        """Let nobody choose what has no say, and save what is not there."""
+        self.align.enabled = not self.alignment.is_chosen
+        self.alignment.save_button.enabled = self._found_alignment() is not None
+
+    def _found_alignment(self) -> StackAlignment | None:
+        """Return how the planes of the chosen stack lie on each other, as it was found last."""
+        name = getattr(self.image.value, "name", "")
+        layer = layer_of_result(self._viewer.layers, SHARPEST, name)
+        made = {} if layer is None else layer.metadata[METADATA_KEY]
+        return StackAlignment.from_dict(made[ALIGNMENT]) if ALIGNMENT in made else None
+
+    def save_alignment(self, path: Path | None = None, *, overwrite: bool = False) -> None:
+        """Write how the planes lie on each other, see `StackAlignment.save`.
+
+        Parameters
+        ----------
+        path : Path, optional
+            Without, a dialog asks for it.
+        overwrite : bool, optional
+            Whether a file that exists is replaced; the dialog asks that too.
+        """
+        found = self._found_alignment()
+        if found is None:
+            show_warning("There is no alignment to save yet. Find the sharpest plane first.")
+            return
+        if path is None:
+            suggested = f"{self.image.value.name} alignment.json"
+            path, overwrite = asked_where(
+                self.native, "Save the alignment", suggested, "Alignments (*.json)"
+            )
+        if path is None:
+            return
+        try:
+            found.save(path, force=overwrite)
+        except OSError as reason:
+            show_error(saving_failure(reason))
+        else:
+            self.say(f"Saved in {path.name}: {found}")
 
     def _on_order(self, _: Any = None) -> None:
         self._on_image()
@@ -182,6 +243,7 @@ class SharpestPlaneWidget(ImagePanel):
         super()._on_closed()
         self._viewer.dims.events.point.disconnect(self._follow_sliders)
         self._viewer.dims.events.order.disconnect(self._on_order)
+        self._viewer.layers.events.removed.disconnect(self._show_alignment)
 
     def wanted(self) -> FocusStacking:
         """Return what the form asks for now.
@@ -204,6 +266,7 @@ class SharpestPlaneWidget(ImagePanel):
             settings=self.settings.map_settings(),
             px_per_plane=number_or_none(self.px_per_plane.value, "blur a plane", "0.5"),
             align=self.align.value,
+            laid=self.alignment.alignment(),
             match_brightness=self.match_brightness.value,
             blend=self.blend.value,
             peak=self.peak.value,
@@ -222,3 +285,4 @@ class SharpestPlaneWidget(ImagePanel):
         if layers:
             # The picture: what lies above it is hidden.
             self._viewer.layers.selection.active = layers[0]
+            self._show_alignment()

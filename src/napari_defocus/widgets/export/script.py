@@ -84,8 +84,8 @@ def script_of(work: Work, picture_file: Path | None = None) -> str:
 
     It needs napari-defocus but not napari, and writes nothing: the results are its variables
     `candidates`, `blur_map`, `confidence` and `in_focus`, as far as they were wanted; of a
-    restoration `all_in_focus` and `refocused`, of distances `depth`. It says so if its picture
-    is not the one that was analysed.
+    restoration `all_in_focus`, `left_as_it_was` and `refocused`, of distances `depth`. It says so
+    if its picture is not the one that was analysed.
 
     Parameters
     ----------
@@ -265,7 +265,12 @@ def _restoration(work: Restoration) -> Iterator[str]:
     else:
         keywords["noise_variance"] = _literal(work.settings.noise_variance)
     keywords |= _unusual(work.settings, "tv_weight") | light
-    yield _call("all_in_focus", "restore_all_in_focus", "image", blur, **keywords)
+    if not work.show_left:
+        yield _call("all_in_focus", "restore_all_in_focus", "image", blur, **keywords)
+        return
+    keywords["return_fit"] = "True"
+    yield _call("all_in_focus, fit", "restore_all_in_focus", "image", blur, **keywords)
+    yield "left_as_it_was = fit.left_as_it_was"
 
 
 def _distances(work: Distances) -> Iterator[str]:

@@ -87,7 +87,7 @@ class DepthForm:
         """
         return Distances(
             plane=plane,
-            lens=self.thin_lens.lens(),
+            lens=self.thin_lens.lens(plane.whole_shape),
             source=source,
             side=self.side.value,
             min_confidence=self.min_confidence.value,

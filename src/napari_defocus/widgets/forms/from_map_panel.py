@@ -74,6 +74,7 @@ class FromMapPanel(ImagePanel):
         ]
         super()._finish_form(fields)
         self.image.changed.connect(lambda _: self.blur_map.reset_choices())
+        settings.lens.microscope.attach(self.image)
         self.blur_map.changed.connect(lambda _: self._show_needed())
         self._choose_active()
         self.blur_map.reset_choices()

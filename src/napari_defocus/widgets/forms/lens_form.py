@@ -5,10 +5,11 @@ from pathlib import Path
 
 from magicgui.widgets import ComboBox, FileEdit, FloatSpinBox, SpinBox, Widget
 
-from napari_defocus.psf import AUTO
+from napari_defocus.psf import AUTO, MICROSCOPE
 from napari_defocus.psf.families import Annulus, GeneralizedGaussian, Polygon
 from napari_defocus.psf.parsing import psf_from_text, psf_text
 from napari_defocus.settings import MapSettings
+from napari_defocus.widgets.forms.microscope_fields import MicroscopeFields
 
 MEASURED = "measured"
 
@@ -19,6 +20,7 @@ LENSES = {
     "annulus": "ring: mirror lens",
     "gaussian": "Gaussian",
     "generalized-gaussian": "generalized Gaussian",
+    MICROSCOPE: "microscope: µm from NA",
     MEASURED: "measured (file)",
 }
 """The first word of each lens' text form, and what its users call it."""
@@ -89,6 +91,7 @@ class LensForm:
             tooltip="The file that “Calibrate a lens” has written. The last one that was "
             "measured is filled in.",
         )
+        self.microscope = MicroscopeFields()
         self.take(MapSettings.psf)
         self.lens.changed.connect(lambda _: self._on_chosen())
 
@@ -101,6 +104,7 @@ class LensForm:
             self.obstruction,
             self.exponent,
             self.file,
+            *self.microscope.fields(),
         ]
 
     def text(self) -> str:
@@ -109,8 +113,10 @@ class LensForm:
         Raises
         ------
         ValueError
-            If it is a measured one, and no file is given.
+            If it is a measured one, and no file is given, or a microscope that is not known.
         """
+        if self.lens.value == MICROSCOPE:
+            return self.microscope.text()
         if self.lens.value == MEASURED:
             if self.file.value in (None, Path()):
                 raise ValueError("Choose the file of the measured lens first.")
@@ -125,7 +131,11 @@ class LensForm:
             self.file.value = Path(text)
             self.lens.value = MEASURED
             return
+        if name == MICROSCOPE:
+            self.microscope.take(text)
         self.lens.value = name
+        if name == MICROSCOPE:
+            return
         defaults = psf_text(psf_from_text(name)).split(":")[1:]
         for field, value in zip(self._needed(), values + defaults[len(values) :], strict=True):
             field.value = float(value)
@@ -135,6 +145,8 @@ class LensForm:
         needed: list[Widget] = [*self._needed()]
         if self.lens.value == MEASURED:
             needed.append(self.file)
+        if self.lens.value == MICROSCOPE:
+            needed += self.microscope.fields()
         self.lens.visible = self._shown
         for field in self.fields()[1:]:
             field.visible = self._shown and field in needed
@@ -155,4 +167,6 @@ class LensForm:
     def _on_chosen(self) -> None:
         if self.lens.value == MEASURED and self._last_measured():
             self.file.value = Path(self._last_measured())
+        if self.lens.value == MICROSCOPE and self.microscope.is_empty:
+            self.microscope.read()
         self.show_needed()

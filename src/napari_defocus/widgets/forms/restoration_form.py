@@ -21,6 +21,14 @@ class RestorationForm:
             tooltip="Change the picture less where the blur map is not sure: a wrong blur taken "
             "away leaves ringing. It uses the map's confidence, or its confidence layer.",
         )
+        self.show_left = CheckBox(
+            name="show_left",
+            text="show what is left as it was",
+            value=False,
+            tooltip="Add a layer that veils, in orange, the places that are not restored because "
+            "they would get rings: its value is 1 where the picture is as it was, 0 where it is "
+            "restored.",
+        )
         self.tv_weight = automatic_field(
             "tv_weight",
             "smoothing",
@@ -33,7 +41,7 @@ class RestorationForm:
 
     def fields(self) -> list[Widget]:
         """Return the fields, from top to bottom."""
-        return [self.protect, self.tv_weight]
+        return [self.protect, self.tv_weight, self.show_left]
 
     def restoration(
         self,
@@ -49,6 +57,7 @@ class RestorationForm:
             settings=self.settings(noise_variance),
             linearize=linearize,
             protect=self.protect.value,
+            show_left=self.show_left.value,
         )
 
     def settings(self, noise_variance: float | None) -> RestorationSettings:

@@ -7,7 +7,7 @@ from pathlib import Path
 from magicgui.widgets import FileEdit, LineEdit, PushButton, Widget
 
 from napari_defocus import ThinLens
-from napari_defocus.optics.exif import noted_lens
+from napari_defocus.optics.exif import noted_lens, pitch_advice
 
 INFINITY = "inf"
 
@@ -44,11 +44,14 @@ _NUMBERS = {
     ),
     "pixel_pitch_um": _Number(
         *("pixel pitch", "µm", "4.3"),
-        "How far the pixels of this picture are apart on the sensor, in µm. A picture scaled down "
-        "to a half has twice the pitch of the sensor.",
+        "How far the pixels of this picture are apart on the sensor, in µm: 1000 × the sensor's "
+        "width in mm / the picture's width in px, if nothing was cropped. Sensors are 36 mm wide "
+        "(full frame), 23.5 mm (APS-C), 17.3 mm (Four Thirds), 5 to 10 mm (phones).",
     ),
 }
 """By the parameters of `ThinLens`."""
+
+_PITCH = _NUMBERS["pixel_pitch_um"].name
 
 
 class ThinLensForm:
@@ -86,8 +89,13 @@ class ThinLensForm:
         """Return all fields, from top to bottom."""
         return [self.file, self.read_button, *self._numbers.values()]
 
-    def lens(self) -> ThinLens:
+    def lens(self, image_size: tuple[int, int] | None = None) -> ThinLens:
         """Return what the fields say.
+
+        Parameters
+        ----------
+        image_size : (int, int), optional
+            Height and width of the picture that is analysed, for an example in an error.
 
         Raises
         ------
@@ -98,8 +106,10 @@ class ThinLensForm:
             _NUMBERS[name].name for name, field in self._numbers.items() if not field.value.strip()
         ]
         if empty:
+            advice = _advice(image_size) if _PITCH in empty else ""
             raise ValueError(
                 f"Fill in the {_enumerated(empty)} of the lens: distances cannot be told without."
+                f"{advice}"
             )
         values = {name: _number(name, field.value) for name, field in self._numbers.items()}
         focal_length_m, distance = values["focal_length_mm"] / 1000, values["focus_distance_m"]
@@ -128,15 +138,22 @@ class ThinLensForm:
         path = Path(str(self.file.value))
         typed = self.focal_length.value.strip()
         known = noted_lens(path, _number("focal_length_mm", typed) if typed else None, image_size)
-        noted = {name: value for name, value in known.items() if value is not None}
+        noted = {name: value for name, value in known.values.items() if value is not None}
         for name, value in noted.items():
             self._numbers[name].value = INFINITY if math.isinf(value) else f"{value:.6g}"
         found = [_NUMBERS[name].name for name in noted]
         missing = [number.name for name, number in _NUMBERS.items() if name not in noted]
         lines = [f"{path.name} notes {_enumerated(found) if found else 'nothing'}."]
+        if known.pitch_from is not None:
+            lines.append(f"The pixel pitch is {known.pitch_from}.")
         if missing:
-            lines.append(f"Not noted: {_enumerated(missing)}. Please fill in.")
+            advice = _advice(known.image_size) if _PITCH in missing else ""
+            lines.append(f"Not noted: {_enumerated(missing)}. Please fill in.{advice}")
         return "\n".join(lines)
+
+
+def _advice(image_size: tuple[int, int] | None) -> str:
+    return f" {pitch_advice(image_size, 'µ')}."
 
 
 def _number(parameter: str, text: str) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from napari_defocus.core.checks import check_threshold_or_auto
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.psf import AUTO
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.psf.parsing import psf_of
 from napari_defocus.settings import COMPARED_PSFS, MapSettings, MaskSettings
 from napari_defocus.widgets.jobs.estimation import (
@@ -30,6 +31,7 @@ from napari_defocus.widgets.jobs.map_source import layers_of_map
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_layers import (
     blur_map_layer,
+    defocus_layer,
     in_focus_layer,
 )
 from napari_defocus.widgets.layers.result_metadata import (
@@ -181,7 +183,11 @@ class Analysis(Wanted):
         self, analysed: Analysed, cache: JobCache, progress: Progress
     ) -> list[LayerDataTuple]:
         found = estimated_map(analysed.picture, self.estimation, cache, progress)
-        return layers_of_map(self.plane, self.estimation, found)[: 1 + self.confidence]
+        blur_map, confidence = layers_of_map(self.plane, self.estimation, found)
+        layers = [blur_map]
+        if isinstance(found.psf, Microscope):
+            layers.append(defocus_layer(blur_map, found.psf))
+        return [*layers, confidence] if self.confidence else layers
 
     def _mask_layers(
         self, analysed: Analysed, cache: JobCache, progress: Progress

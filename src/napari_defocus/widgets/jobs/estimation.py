@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from napari_defocus import pipeline
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
-from napari_defocus.psf import AUTO
+from napari_defocus.psf import AUTO, left_open
 from napari_defocus.settings import MapSettings, MaskSettings, RestorationSettings
 from napari_defocus.widgets.jobs.cache import LayerCache, fingerprint
 from napari_defocus.widgets.layers.image_layers import Plane
@@ -279,7 +279,7 @@ def known_map(picture: Picture, settings: MapSettings, cache: JobCache) -> Estim
     if found is not None:
         return found
     # Its layer says the lens that the picture has chosen.
-    asked = replace(settings, psf=AUTO)
+    asked = replace(settings, psf=left_open(settings.psf))
     chosen = cache.maps.known(picture.plane.layer, _key(picture, asked))
     return chosen if chosen is not None and asked.settled(chosen.psf) == settings else None
 

@@ -7,21 +7,24 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from napari.types import LayerDataTuple
-from napari.utils.transforms import CompositeAffine
 from numpy.typing import NDArray
 
 from napari_defocus.core.axes import known_axis
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
+from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.settings import CONFIDENT, MapSettings
 from napari_defocus.widgets.jobs.estimation import JobCache
 from napari_defocus.widgets.jobs.tiled_job import as_dask
+from napari_defocus.widgets.layers.flat_placement import of_all_planes
 from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane, check_pixels
 from napari_defocus.widgets.layers.result_metadata import (
+    ALIGNMENT,
     AT,
     BEST_FOCUS,
     FOCUS_CONFIDENCE,
+    HEIGHT,
     METADATA_KEY,
     SHARPEST,
     Results,
@@ -30,6 +33,7 @@ from napari_defocus.widgets.layers.result_metadata import (
 )
 
 if TYPE_CHECKING:
+    from napari_defocus.stacks.alignment import StackAlignment
     from napari_defocus.stacks.focus_stacking import SharpestPlane
 
 Choice = Literal["auto"] | bool
@@ -61,6 +65,8 @@ class FocusStacking:
         By how many px the radius grows from plane to plane; None to find it.
     align, match_brightness : "auto" or bool
         Whether planes are laid on each other first, and made equally bright.
+    laid : StackAlignment or None
+        How planes are laid on each other, found before; it counts more than `align`.
     blend : bool
         Whether planes are blended, or each pixel is that of one plane.
     peak : {"strongest", "first", "last"}
@@ -92,6 +98,7 @@ class FocusStacking:
     px_per_plane: float | None = None
     align: Choice = "auto"
     match_brightness: Choice = "auto"
+    laid: StackAlignment | None = None
     blend: bool = True
     peak: Peak = "strongest"
     also: Plane | None = None
@@ -111,6 +118,8 @@ class FocusStacking:
                 "the field empty to have it found."
             )
         check_pixels(self.plane.shape)
+        if self.laid is not None:
+            self.laid.check_fits(self.plane.shape, self.count)
         if self.also is not None:
             other = self._of(self.also)
             if (other.plane.shape[:2], other.count) != (self.plane.shape[:2], self.count):
@@ -154,7 +163,7 @@ class FocusStacking:
             smoothness=settings.smoothness,
             color_sigma=settings.color_sigma,
             linearize=settings.linearize,
-            align=self.align,
+            align=self.align if self.laid is None else self.laid,
             match_brightness=self.match_brightness,
             blend=self.blend,
             peak=self.peak,
@@ -214,7 +223,30 @@ class FocusStacking:
                 **(position | hidden),
             ),
             self._layer(found, FOCUS_CONFIDENCE, found.confidence, **(sure | hidden)),
+            *self._height_layer(found),
         ]
+
+    @property
+    def z_step_um(self) -> float | None:
+        """How far planes are apart in um, if the layer's scale and units say it."""
+        unit = MICROMETERS.get(str(self.plane.placement["units"][self.axis]))
+        return None if unit is None else unit * float(self.plane.placement["scale"][self.axis])
+
+    def _height_layer(self, found: SharpestPlane) -> list[LayerDataTuple]:
+        """Return the positions as heights above the first plane in um, if the step is known."""
+        step = self.z_step_um
+        if step is None:
+            return []
+        ends = tuple(sorted((0.0, step * (self.count - 1))))
+        looks = {"colormap": COLOR_MAP, "contrast_limits": ends, "visible": False}
+        heights = found.height_um(step)
+        return [self._layer(found, HEIGHT, heights, name="height of best focus (µm)", **looks)]
+
+    def _alignment(self, found: SharpestPlane) -> StackAlignment:
+        """Return how the planes lie on each other, also if none has moved."""
+        from napari_defocus import StackAlignment
+
+        return found.alignment or StackAlignment.still(self.plane.shape, self.count)
 
     def _layer_of_pixels(self, found: SharpestPlane, composite: NDArray[Any]) -> LayerDataTuple:
         rgb = composite.ndim == 3
@@ -226,16 +258,19 @@ class FocusStacking:
     ) -> LayerDataTuple:
         own = ("px_per_plane", "axis", "align", "match_brightness", "blend", "peak")
         settings = asdict(self.settings) | {name: getattr(self, name) for name in own}
+        if self.laid is not None:
+            settings["align"] = "as given"
         facts = {
             "noise_variance": found.noise_variance,
             "intensities": found.intensities.facts(),
             "px_per_plane": found.px_per_plane,
             "share_of_plane": found.share_of_plane.tolist(),
             "gain": found.gain.tolist(),
+            ALIGNMENT: self._alignment(found).as_dict(),
             "notes": list(found.notes),
         }
         layer = result_layer(self.plane, result, values, settings, facts, **looks)
-        placed = _of_all_planes(self.plane.placement) if self._is_plain else None
+        placed = of_all_planes(self.plane.placement) if self._is_plain else None
         if placed is None:
             return layer
         _, keywords, kind = layer
@@ -276,23 +311,3 @@ def composite_of(
     from napari_defocus import composite_at
 
     return composite_at(position, stack.array, progress=progress, **settings)
-
-
-def _of_all_planes(placed: dict[str, Any]) -> dict[str, Any] | None:
-    """Return where a picture lies that is seen at all planes; None if planes are tilted."""
-    names = ("scale", "translate", "rotate", "shear")
-    in_layer = CompositeAffine(**{name: placed[name] for name in names}, ndim=3)
-    affine = np.asarray(placed["affine"], float)
-    for matrix in (in_layer.linear_matrix, affine[:3, :3]):
-        if matrix[0, 1:].any() or matrix[1:, 0].any():
-            return None
-    flat = in_layer.set_slice([1, 2])
-    return {
-        "scale": flat.scale,
-        "translate": flat.translate,
-        "rotate": flat.rotate,
-        "shear": flat.shear,
-        "affine": affine[1:, 1:],
-        "units": placed["units"][1:],
-        "axis_labels": placed["axis_labels"][1:],
-    }

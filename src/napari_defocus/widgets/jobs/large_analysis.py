@@ -17,7 +17,7 @@ from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.io.lazy_arrays import Carried
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
 from napari_defocus.pipeline import measure_candidates
-from napari_defocus.psf import AUTO
+from napari_defocus.psf import is_left_open
 from napari_defocus.settings import CONFIDENT
 from napari_defocus.widgets.jobs.analysis import Wanted
 from napari_defocus.widgets.jobs.estimation import JobCache
@@ -108,7 +108,7 @@ class LargeAnalysis(Wanted):
         """
         progress("Preparing", 0.0)
         work = self._work()
-        if self.estimation.psf == AUTO:
+        if is_left_open(self.estimation.psf):
             image = as_dask(work.image.array, work.axes)
             choice = measure_candidates(image, self.estimation, axes=work.axes).psf_choice
             settled = replace(self, estimation=self.estimation.settled(choice.psf))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from napari_defocus.widgets.jobs.cache import fingerprint
 from napari_defocus.widgets.jobs.estimation import JobCache, Picture
 from napari_defocus.widgets.jobs.map_source import BlurMap, MapSource
 from napari_defocus.widgets.layers.image_layers import Plane
+from napari_defocus.widgets.layers.result_layers import left_as_it_was_layer
 from napari_defocus.widgets.layers.result_metadata import (
     ALL_IN_FOCUS,
     REFOCUSED,
@@ -60,6 +61,8 @@ class Restoration:
         Whether the blur is taken away in linear light.
     protect : bool
         Whether places of low confidence are changed less.
+    show_left : bool
+        Whether a layer of what is left as it was is wanted, too.
     """
 
     plane: Plane
@@ -67,12 +70,13 @@ class Restoration:
     settings: RestorationSettings
     linearize: Linearize | None = None
     protect: bool = True
+    show_left: bool = field(default=False, compare=False)
 
     def run(self, cache: JobCache, progress: Progress = silent) -> Results:
         """Return the all-in-focus picture as a layer, after those of a map that was estimated."""
         made = self.made(cache, progress)
-        layer = _picture_layer(self, made, made.sharp, ALL_IN_FOCUS)
-        return Results([*made.blur_map.layers, layer], self.summary(made))
+        layers = _picture_layers(self, made, made.sharp, ALL_IN_FOCUS)
+        return Results([*made.blur_map.layers, *layers], self.summary(made))
 
     def made(self, cache: JobCache, progress: Progress) -> Restored:
         """Return the restored picture: that of an earlier run, if nothing has changed."""
@@ -114,6 +118,8 @@ class Restoration:
             lines.append(_MISFIT)
         if made.fit.unrestored >= _LEAST_UNRESTORED:
             lines.append(_UNRESTORED.format(percent=100 * made.fit.unrestored))
+        elif self.show_left:
+            lines.append("Less than 1% of the picture was left as it was.")
         confidence = made.blur_map.confidence
         if confidence is not None:
             lines.append(confidence_description((confidence >= CONFIDENT).mean()))
@@ -183,14 +189,14 @@ class Refocusing:
             linearize=self.view.linearize,
             progress=within(progress, _RESTORED, 1.0),
         )
-        layer = _picture_layer(self.restoration, made, seen, REFOCUSED, view=asdict(self.view))
-        return Results([*made.blur_map.layers, layer], self.restoration.summary(made))
+        layers = _picture_layers(self.restoration, made, seen, REFOCUSED, view=asdict(self.view))
+        return Results([*made.blur_map.layers, *layers], self.restoration.summary(made))
 
 
-def _picture_layer(
+def _picture_layers(
     wanted: Restoration, made: Restored, picture: Float32, result: str, **settings: Any
-) -> LayerDataTuple:
-    """Return a picture in [0, 1] as an image layer that lies on the plane."""
+) -> list[LayerDataTuple]:
+    """Return a picture in [0, 1] as an image layer that lies on the plane, and what was left."""
     restoration = {"linearize": wanted.linearize, "protect": wanted.protect}
     restoration = asdict(wanted.settings) | restoration
     settings = {
@@ -206,11 +212,15 @@ def _picture_layer(
         "blur_map": made.blur_map.name,
     }
     # A copy: what somebody paints on the layer is not cached.
-    return result_layer(
+    shown = result_layer(
         *(wanted.plane, result, picture.copy(), settings, facts),
         rgb=picture.ndim == 3,
         contrast_limits=_limits(wanted.plane, made.picture.intensities),
     )
+    if not wanted.show_left:
+        return [shown]
+    left = made.fit.left_as_it_was.copy()
+    return [shown, left_as_it_was_layer(wanted.plane, left, settings, facts)]
 
 
 def _limits(plane: Plane, intensities: Intensities) -> tuple[float, float]:

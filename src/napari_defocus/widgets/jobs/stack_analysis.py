@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from napari_defocus import pipeline
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.io.ome_zarr_writer import OmeZarrWriter
-from napari_defocus.psf import AUTO
+from napari_defocus.psf import AUTO, is_left_open
 from napari_defocus.settings import CONFIDENT, THRESHOLD_PLANES
 from napari_defocus.widgets.jobs.analysis import Analysis, Wanted
 from napari_defocus.widgets.jobs.estimation import JobCache, Picture
@@ -24,6 +24,7 @@ from napari_defocus.widgets.layers.image_layers import NotAnalysableError, Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
+    DEFOCUS,
     METADATA_KEY,
     PLANES,
     Results,
@@ -148,7 +149,7 @@ class StackAnalysis(Wanted):
 
     def _chosen_lens(self) -> PSFChoice | None:
         """Return the lens of all planes, if they are to choose it; None if none can be read."""
-        if self.estimation.psf != AUTO:
+        if not is_left_open(self.estimation.psf):
             return None
         from napari_defocus.tiled.psf_of_planes import MOST_PLANES
 
@@ -280,6 +281,8 @@ class _Found:
         only = tuple(0 if isinstance(n, int) else slice(None) for n in plane.index)
         for data, keywords, kind in layers:
             made = keywords["metadata"][METADATA_KEY]
+            if made["result"] == DEFOCUS:
+                continue  # the map's values, in another unit
             self.values[made["result"]][at] = data[only]
             self.looks[made["result"]] = keywords, kind
             self.noise_variances[position] = made["noise_variance"]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from napari.types import LayerDataTuple
-from napari.utils.colormaps import DirectLabelColormap
+from napari.utils.colormaps import Colormap, DirectLabelColormap
 from numpy.typing import NDArray
 
 from napari_defocus import __version__
@@ -18,12 +18,15 @@ from napari_defocus.core.color_range import color_limit
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.measured import MeasuredPSF
+from napari_defocus.psf.microscope import Microscope
 from napari_defocus.settings import UNKNOWN, MapSettings, MaskSettings
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
+    DEFOCUS,
     IN_FOCUS,
+    LEFT_AS_IT_WAS,
     MEASURED_PSF,
     METADATA_KEY,
     NOT_TRUSTED,
@@ -36,6 +39,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     scale_prefix,
 )
 
+_NO_SIDE = "above or below the focus: one picture cannot tell"
 COLOR_MAP = "viridis"
 MASK_COLOR = (1.0, 0.2, 0.8, 1.0)
 """Far from all colours of the map, and from those of most pictures."""
@@ -48,6 +52,9 @@ NOT_TRUSTED_OPACITY = 0.6
 
 A dark one is seen on yellow, but hardly on the purple of what is in focus.
 """
+
+LEFT_COLOR, LEFT_OPACITY = (1.0, 0.55, 0.0), 0.6
+"""Orange is seen on dark and on bright pictures; they are seen through it."""
 
 
 def blur_map_layer(
@@ -85,6 +92,16 @@ def blur_map_layer(
     )
 
 
+def defocus_layer(blur_map: LayerDataTuple, lens: Microscope) -> LayerDataTuple:
+    """Return a blur map, as `blur_map_layer` gives it, as a layer of the defocus in um."""
+    values, keywords, kind = blur_map
+    made = {**keywords["metadata"][METADATA_KEY], "result": DEFOCUS, "unit": "um", "side": _NO_SIDE}
+    name = keywords["name"].removesuffix("blur (px)") + "defocus (µm)"
+    limits = tuple(lens.defocus_um(limit) for limit in keywords["contrast_limits"])
+    looks = {**keywords, "name": name, "contrast_limits": limits, "metadata": {METADATA_KEY: made}}
+    return LayerDataTuple((lens.defocus_um(values).astype(np.float32), looks, kind))
+
+
 def confidence_layer(
     plane: Plane,
     confidence: NDArray[np.floating],
@@ -102,6 +119,27 @@ def confidence_layer(
         colormap=CONFIDENCE_COLOR_MAP,
         contrast_limits=(0.0, 1.0),
         visible=False,
+    )
+
+
+def left_as_it_was_layer(
+    plane: Plane, left: NDArray[np.floating], settings: dict[str, Any], facts: dict[str, Any]
+) -> LayerDataTuple:
+    """Return how far a picture was left as it was, from 0 to 1, as a veil over what was restored.
+
+    Parameters
+    ----------
+    plane : Plane
+        What was restored.
+    left : (H, W) float ndarray
+        See `RestorationFit`.
+    settings, facts : dict
+        See `provenance`.
+    """
+    return result_layer(
+        *(plane, LEFT_AS_IT_WAS, left, settings, facts),
+        colormap=Colormap([(*LEFT_COLOR, 0.0), (*LEFT_COLOR, LEFT_OPACITY)], LEFT_AS_IT_WAS),
+        contrast_limits=(0.0, 1.0),
     )
 
 

@@ -27,17 +27,20 @@ RUN = "run"
 """Which run has made a result, in its metadata: the larger the number, the newer."""
 
 BLUR_MAP = "blur map"
+DEFOCUS = "defocus"
 CONFIDENCE = "confidence"
 NOT_TRUSTED = "not trusted"
 IN_FOCUS = "in focus"
 MEASURED_PSF = "measured PSF"
 ALL_IN_FOCUS = "all in focus"
+LEFT_AS_IT_WAS = "left as it was"
 REFOCUSED = "refocused"
 DEPTH = "depth"
 DEPTH_SURFACE = "depth surface"
 RELIEF = "relief"
 SHARPEST = "sharpest pixels"
 BEST_FOCUS = "best focus"
+HEIGHT = "height"
 FOCUS_CONFIDENCE = "best focus confidence"
 
 OUTSIDE = (
@@ -51,6 +54,9 @@ PLANES = "planes"
 
 STORE = "store"
 """Where the metadata of a result that is kept on the disk say in which folder, and how long."""
+
+ALIGNMENT = "alignment"
+"""Where the metadata of a stack's sharpest pixels say how its planes lie on each other."""
 
 REGION = "region"
 """Where the metadata of a result say which part of a plane it is of, see `region_description`."""
