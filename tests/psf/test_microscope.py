@@ -106,6 +106,7 @@ def test_diffraction_does_not_count_twice():
         ({"numerical_aperture": 1.2}, "below the refractive index, 1 here"),
         ({"numerical_aperture": 0}, "numerical_aperture is 0"),
         ({"wavelength_um": -0.5}, "wavelength_um is -0.5"),
+        ({"wavelength_um": 520}, "wavelength_um is 520; .* 0.52 for 520 nm"),
         ({"pixel_size_um": float("inf")}, "pixel_size_um is inf"),
         ({"refractive_index": 0.9}, "refractive_index is 0.9"),
         ({"specimen": "cells"}, "specimen is 'cells'"),
@@ -116,6 +117,14 @@ def test_impossible_microscopes_are_refused(given, told):
     usual = {"numerical_aperture": 0.8, "wavelength_um": 0.52, "pixel_size_um": 0.1}
     with pytest.raises(ValueError, match=told):
         Microscope(**usual | given)
+
+
+def test_pixels_of_the_camera_in_place_of_those_of_the_specimen_are_told():
+    assert "27 times as wide as the Airy disc" in Microscope(
+        1.3, 0.52, 6.5, 1.515
+    ).remark_on_pixels(None)
+    assert Microscope(1.3, 0.52, 0.1, 1.515).remark_on_pixels(None) is None
+    assert Microscope(0.75, 0.55, 4.0).remark_on_pixels(None) is None  # a small level of a slide
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def microscope_of(found: Measurement) -> Microscope | None:
 
 
 def remarks_on_pixels(image: Path, found: Measurement) -> list[str]:
-    """Return what to say if a picture's file notes another pixel size than the microscope has."""
+    """Return what to say if pixels cannot be right, or a picture's file notes others."""
     from napari_defocus.io.microscope_metadata import noted_microscope
 
     lens = microscope_of(found)
@@ -115,7 +115,7 @@ def remarks_on_pixels(image: Path, found: Measurement) -> list[str]:
     try:
         noted = noted_microscope(image)["pixel_size_um"]
     except ValueError:  # what cannot be read says nothing
-        return []
+        noted = None
     remark = lens.remark_on_pixels(noted)
     return [] if remark is None else [remark]
 

@@ -26,6 +26,12 @@ Specimen = Literal["auto", "texture", "points"]
 IMMERSIONS = {"air": 1.0, "water": 1.333, "glycerol": 1.47, "oil": 1.515}
 """Refractive indices of what usually lies between the objective and the specimen."""
 
+WAVELENGTHS = 0.1, 20.0
+"""um: what lenses make pictures with, from ultraviolet to infrared. Nanometres lie far above."""
+
+_WIDE_PIXELS = 10.0
+"""Pixels that are wider, in radii of the Airy disc, are rather those of the camera. By hand."""
+
 _TAIL = 5.0
 """How far kernels reach beyond the geometric spot, in units of wavelength / NA. In focus, 2 % of
 the light lies farther out. Chosen by hand."""
@@ -81,8 +87,8 @@ class Microscope:
     numerical_aperture : float
         NA of the objective, above 0 and below the refractive index.
     wavelength_um : float
-        Wavelength of the light in vacuum, in um: that of emission in fluorescence, the middle of
-        the band in bright field.
+        Wavelength of the light in vacuum, from 0.1 to 20 um: that of emission in fluorescence,
+        the middle of the band in bright field.
     pixel_size_um : float
         Distance of the picture's pixels in the specimen, in um.
     refractive_index : float
@@ -131,8 +137,14 @@ class Microscope:
     scale_name: ClassVar[str] = BLUR_RADIUS
 
     def __post_init__(self) -> None:
-        for name in ("wavelength_um", "pixel_size_um"):
-            check_number(name, getattr(self, name), _above_0, "a finite number of um above 0")
+        least, most = WAVELENGTHS
+        check_number(
+            "wavelength_um",
+            self.wavelength_um,
+            lambda wavelength: least <= wavelength <= most,
+            f"a number of um from {least:g} to {most:g}, such as 0.52 for 520 nm",
+        )
+        check_number("pixel_size_um", self.pixel_size_um, _above_0, "a finite number of um above 0")
         check_number(
             "refractive_index", self.refractive_index, lambda n: 1 <= n <= 2, "a number from 1 to 2"
         )
@@ -191,12 +203,23 @@ class Microscope:
         return radius / self.radius_per_um
 
     def remark_on_pixels(self, noted_um: float | None) -> str | None:
-        """Return what to say if a picture notes another pixel size in um; None if it does not."""
+        """Return what to say if pixels cannot be right, or a picture notes others in um.
+
+        None if there is nothing to say.
+        """
         if noted_um is None or abs(noted_um / self.pixel_size_um - 1) <= _SAME_PIXELS:
-            return None
+            return self._remark_on_wide_pixels()
         return (
             f"The picture notes pixels of {noted_um:.4g} um, but the microscope that was given has "
             f"{self.pixel_size_um:.4g} um: um are wrong if the picture is right."
+        )
+
+    def _remark_on_wide_pixels(self) -> str | None:
+        if self.airy_radius * _WIDE_PIXELS >= 1:
+            return None
+        return (
+            f"A pixel of {self.pixel_size_um:.4g} um is {1 / self.airy_radius:.0f} times as wide as "
+            "the Airy disc of this microscope: um are wrong if that is not its size in the specimen."
         )
 
     def with_wider_pixels(self, side: int, largest: float) -> Microscope:

@@ -52,3 +52,8 @@ def test_measured_lens_needs_a_file(form):
     form.lens.value = MEASURED
     with pytest.raises(ValueError, match="Choose the file"):
         form.text()
+
+
+def test_pixels_of_a_layer_may_be_wider_than_those_of_microscopes(form):
+    form.microscope.take("microscope:0.1:0.52:250:1")
+    assert form.microscope.pixel_size.value == 250

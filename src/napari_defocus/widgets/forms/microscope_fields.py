@@ -121,6 +121,7 @@ class MicroscopeFields:
     def _fill(self, known: Noted) -> None:
         for name, field in self._numbers().items():
             if (value := known.get(name)) is not None:
+                field.max = max(field.max, value)
                 field.value = round(value, 6)
 
     def _numbers(self) -> dict[str, FloatSpinBox]:
