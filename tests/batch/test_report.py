@@ -13,7 +13,7 @@ from command_line import names_in, run
 from napari_defocus import FieldLimits, Settings, UnreadablePicture, measure_batch, write_report
 from napari_defocus.batch import planes as batch_planes
 from napari_defocus.batch import sources as batch_sources
-from napari_defocus.batch.flags import flags_of
+from napari_defocus.batch.flags import flags_of, judged_rows
 from napari_defocus.batch.report import page_of
 from napari_defocus.batch.table import BESIDE, COLUMNS
 from napari_defocus.batch.thumbnails import radii_in
@@ -263,10 +263,33 @@ def test_impossible_limits_are_refused(limits, saying):
         (["Q01.tif", "A25.tif"], []),
         (["a7_0001.jpg", "a7_0002.jpg"], []),
         (["IMG_1.jpg", "A01.jpg"], []),
+        (["B03_F1.tif", "B03_F2.tif", "B03_F3.tif", "C04_F1.tif"], ["B03", "B03", "B03", "C04"]),
+        (["B03_F01.tif", "B03_F02.tif", "B03_F03.tif", "B04_F01.tif"], ["B03"] * 3 + ["B04"]),
+        (["A1/f1.tif", "A1/f2.tif", "B1/f1.tif"], ["A01", "A01", "B01"]),
+        (["r03c03f01.tiff", "r03c04f01.tiff"], ["C03", "C04"]),
+        (["C01.tif", "C02.tif"], ["C01", "C02"]),
+        (["img_c1.png", "img_c2.png"], []),
+        (["C1-cells.tif", "C2-cells.tif"], []),
     ],
 )
 def test_wells_are_read_from_names(names, wells):
     assert list(wells_of(names).values()) == wells
+
+
+def test_each_of_several_plates_has_wells_of_its_own():
+    radii = {"p1/A01.tif": 1.0, "p1/A02.tif": 1.0, "p2/A01.tif": 5.0, "p2/A02.tif": 1.0}
+    rows = [
+        row_of(source=source, link=source, median_known_radius_px=radius, share_sure=0.9)
+        for source, radius in radii.items()
+    ]
+    page = Page(page_of(judged_rows(rows, FieldLimits()), FieldLimits(), {}))
+    told = [well["title"] for well in page.of("a", **{"data-well": "A01"})]
+    assert told == [
+        "A01: 1 field, blur 1.0 px, no flag",
+        "A01: 1 field, blur 5.0 px, out of focus",
+    ]
+    assert "p1: plate of 96 wells" in page.text
+    assert "p2 A01" in page.text
 
 
 def test_plate_is_as_small_as_its_wells_allow():

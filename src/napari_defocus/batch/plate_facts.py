@@ -66,24 +66,31 @@ class Well:
 
 @dataclass(frozen=True)
 class Plate:
-    """A plate: rows of wells, None where nothing was measured."""
+    """A plate: rows of wells, None where nothing was measured; no name if it is the only one."""
 
+    name: str
     layout: PlateLayout
     rows: list[tuple[str, list[Well | None]]]
-    elsewhere: int
+
+    @classmethod
+    def of(cls, name: str, fields: Sequence[Field]) -> Plate:
+        """Lay out the wells of fields, which are worst first."""
+        held: dict[str, list[Field]] = {}
+        for field in fields:
+            held.setdefault(str(field.well), []).append(field)
+        wells = {well: Well(well, tuple(those)) for well, those in held.items()}
+        layout = PlateLayout.of(wells)
+        rows = [
+            (row, [wells.get(f"{row}{column:02d}") for column in layout.columns])
+            for row in layout.rows
+        ]
+        return cls(name, layout, rows)
 
 
-def plate_of(fields: Sequence[Field]) -> Plate | None:
-    """Return the plate that names of fields say; None if they say none."""
+def plates_with(fields: Sequence[Field]) -> list[Plate]:
+    """Return the plates that names of fields say, by name; none if they say none."""
     held: dict[str, list[Field]] = {}
     for field in fields:
         if field.well is not None:
-            held.setdefault(field.well, []).append(field)
-    if not held:
-        return None
-    wells = {name: Well(name, tuple(those)) for name, those in held.items()}
-    layout = PlateLayout.of(wells)
-    rows = [
-        (row, [wells.get(f"{row}{column:02d}") for column in layout.columns]) for row in layout.rows
-    ]
-    return Plate(layout, rows, len(fields) - sum(map(len, held.values())))
+            held.setdefault(field.plate, []).append(field)
+    return [Plate.of(name, held[name]) for name in sorted(held)]

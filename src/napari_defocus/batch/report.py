@@ -11,7 +11,7 @@ import napari_defocus
 from napari_defocus.batch.flags import judged_rows
 from napari_defocus.batch.folder import BatchFolder, read_note
 from napari_defocus.batch.outcome import BatchReport
-from napari_defocus.batch.plate_facts import plate_of
+from napari_defocus.batch.plate_facts import plates_with
 from napari_defocus.batch.report_facts import fields_of, name_of, settings_told, summary_of
 from napari_defocus.batch.table import Row, in_csv, in_json_lines
 from napari_defocus.batch.thumbnails import BLUR, OUTLINE, beside, outline_png, radii_in
@@ -145,7 +145,8 @@ def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any]) -> 
         version=napari_defocus.__version__,
         fields=fields,
         summary=summary_of(fields, limits),
-        plate=plate_of(fields),
+        plates=plates_with(fields),
+        elsewhere=sum(field.well is None for field in fields),
         settings=settings_told(made_with),
         limits=limits,
         within=made_with.get("within"),

@@ -24,6 +24,7 @@ from napari_defocus.batch.thumbnails import (
     palette,
     small_size,
 )
+from napari_defocus.batch.wells import plates_of
 from napari_defocus.core.picture_remarks import saturation_remark
 from napari_defocus.likelihood.signs import NOTHING_SEEN, ONE_DIRECTION
 from napari_defocus.settings import FieldLimits
@@ -41,11 +42,15 @@ MISSING = "–"
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A row of the table as the page shows it; `number` is its place, worst first."""
+    """A row of the table as the page shows it.
+
+    `number` is its place, worst first; `plate` the name of its plate, if there are several.
+    """
 
     number: int
     row: Row
     flags: tuple[Flag, ...]
+    plate: str = ""
 
     @property
     def title(self) -> str:
@@ -141,7 +146,11 @@ def _link(path: str) -> str:
 def fields_of(rows: Sequence[Row], limits: FieldLimits) -> list[Field]:
     """Return the fields of judged rows, worst first; alike ones as the table has them."""
     ranked = sorted(rows, key=badness)
-    return [Field(at + 1, row, flags_of(row, limits)) for at, row in enumerate(ranked)]
+    plates = plates_of(row["source"] for row in rows)
+    return [
+        Field(at + 1, row, flags_of(row, limits), plates.get(row["source"], ""))
+        for at, row in enumerate(ranked)
+    ]
 
 
 def name_of(fields: Sequence[Field]) -> str:
