@@ -3,6 +3,7 @@
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 from urllib.parse import unquote
 
 import numpy as np
@@ -295,6 +296,11 @@ def test_each_of_several_plates_has_wells_of_its_own():
 def test_plate_is_as_small_as_its_wells_allow():
     assert PlateLayout.of(["A01", "H12"]).rows == "ABCDEFGH"
     assert PlateLayout.of(["A01", "A13"]).rows[-1] == "P"
+
+
+def test_report_beside_the_pictures_has_the_name_of_their_folder():
+    page = page_of([row_of(flags=None)], FieldLimits(), {}, Path("holiday", "measured"))
+    assert "Focus of 1 field: holiday" in page
 
 
 def test_names_cannot_break_the_page():

@@ -34,7 +34,7 @@ def ome_tiff(tmp_path):
 
 
 def test_all_of_the_microscope_is_read_from_ome_tiff(ome_tiff):
-    lens = read_microscope(ome_tiff())
+    lens = read_microscope(ome_tiff(), channel=0)
     assert (lens.numerical_aperture, lens.refractive_index) == (1.3, 1.515)
     assert (lens.wavelength_um, lens.pixel_size_um) == pytest.approx((0.52, 0.108))
     assert lens.specimen == "auto"
@@ -43,6 +43,11 @@ def test_all_of_the_microscope_is_read_from_ome_tiff(ome_tiff):
 def test_a_channel_has_its_own_wavelength_and_settings_their_own_index(ome_tiff):
     lens = read_microscope(ome_tiff(settings='RefractiveIndex="1.518"'), channel=1)
     assert (lens.wavelength_um, lens.refractive_index) == pytest.approx((0.61, 1.518))
+
+
+def test_wavelength_of_one_channel_is_not_taken_for_another(ome_tiff):
+    with pytest.raises(ValueError, match="channels of .* have different wavelengths"):
+        read_microscope(ome_tiff())
 
 
 def test_what_is_given_counts_more(ome_tiff):

@@ -99,7 +99,7 @@ def report_contents(folder: BatchFolder, rows: list[Row], limits: FieldLimits) -
     limits : FieldLimits
     """
     made_with = read_note(folder.plan) or {}
-    page = page_of(rows, limits, made_with)
+    page = page_of(rows, limits, made_with, folder.path)
     return {folder.report: page.encode()} | _outlines(folder, rows, limits)
 
 
@@ -119,7 +119,9 @@ def _outlines(folder: BatchFolder, rows: list[Row], limits: FieldLimits) -> dict
     return changed
 
 
-def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any]) -> str:
+def page_of(
+    rows: list[Row], limits: FieldLimits, made_with: dict[str, Any], folder: Path = Path("results")
+) -> str:
     """Return a report as HTML.
 
     Parameters
@@ -129,6 +131,8 @@ def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any]) -> 
     limits : FieldLimits
     made_with : dict
         The facts of the batch's plan.
+    folder : Path
+        Of the batch, where the links of the rows begin.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -141,7 +145,7 @@ def page_of(rows: list[Row], limits: FieldLimits, made_with: dict[str, Any]) -> 
     )
     fields = fields_of(rows, limits)
     return pages.get_template("page.html").render(
-        name=name_of(fields),
+        name=name_of(fields, folder),
         version=napari_defocus.__version__,
         fields=fields,
         summary=summary_of(fields, limits),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -153,9 +154,12 @@ def fields_of(rows: Sequence[Row], limits: FieldLimits) -> list[Field]:
     ]
 
 
-def name_of(fields: Sequence[Field]) -> str:
-    """Return the name of the folder of the pictures, or how many folders there are."""
-    folders = {str(PurePath(field.row["link"]).parent) for field in fields}
+def name_of(fields: Sequence[Field], place: PurePath) -> str:
+    """Return the name of the folder of the pictures, or how many folders there are.
+
+    Links of the fields begin at `place`, the folder of the batch.
+    """
+    folders = {os.path.normpath(place / PurePath(field.row["link"]).parent) for field in fields}
     if len(folders) != 1:
         return f"{len(folders)} folders"
     return PurePath(folders.pop()).name or "one folder"

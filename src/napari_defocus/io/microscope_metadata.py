@@ -47,7 +47,7 @@ def read_microscope(
     pixel_size_um: float | None = None,
     refractive_index: float | None = None,
     specimen: Specimen = "auto",
-    channel: int = 0,
+    channel: int | None = None,
 ) -> Microscope:
     """Take the microscope from what a picture's file notes, and from what you give instead.
 
@@ -63,7 +63,7 @@ def read_microscope(
     specimen : {"auto", "texture", "points"}, optional
         See `Microscope`.
     channel : int, optional
-        Whose emission wavelength is taken, from 0.
+        Whose emission wavelength is taken, from 0. Needed if those of the channels differ.
 
     Returns
     -------
@@ -97,6 +97,8 @@ def read_microscope(
     }
     noted = dict.fromkeys(given) if None not in given.values() else noted_microscope(path, channel)
     known = {name: noted[name] if value is None else value for name, value in given.items()}
+    if channel is None and known["wavelength_um"] is None:
+        _check_one_wavelength(path)
     missing = [_WHAT[name] for name, value in known.items() if value is None]
     if missing:
         *first, last = missing
@@ -105,8 +107,17 @@ def read_microscope(
     return Microscope(**known, specimen=specimen)  # type: ignore[arg-type]  # none is None
 
 
-def noted_microscope(path: str | os.PathLike[str], channel: int = 0) -> Noted:
+def _check_one_wavelength(path: str | os.PathLike[str]) -> None:
+    if noted_microscope(path, 0)["wavelength_um"] is not None:
+        raise ValueError(
+            f"the channels of {path} have different wavelengths of emission; give the wavelength"
+        )
+
+
+def noted_microscope(path: str | os.PathLike[str], channel: int | None = None) -> Noted:
     """Return the numbers of `Microscope` that a file notes; None for those that it does not.
+
+    Without a channel, the wavelength is that of all channels, if they have the same.
 
     Raises
     ------
@@ -154,7 +165,7 @@ def _notes(path: Path) -> tuple[PixelSize, str | None, int]:
     return ({}, {}), None, 0
 
 
-def _noted_in_xml(text: str, picture: int, channel: int) -> Noted:
+def _noted_in_xml(text: str, picture: int, channel: int | None) -> Noted:
     """Return what OME-XML notes of the microscope that took a picture, of a channel."""
     root = ElementTree.fromstring(text)
     pictures = [each for each in _within(root, "Image") if _within(each, "Pixels")]
@@ -164,15 +175,20 @@ def _noted_in_xml(text: str, picture: int, channel: int) -> Noted:
     settings = _first(_within(image, "ObjectiveSettings"))
     objective = _objective(root, settings)
     pixels = _within(image, "Pixels")[0].attrib
-    channels = _within(image, "Channel")
-    wave = channels[channel].attrib if channel < len(channels) else {}
+    waves = [_length(each.attrib, "EmissionWavelength", "nm") for each in _within(image, "Channel")]
     index = _number(settings.get("RefractiveIndex"))
     return {
         "numerical_aperture": _number(objective.get("LensNA")),
-        "wavelength_um": _length(wave, "EmissionWavelength", "nm"),
+        "wavelength_um": _of_channel(waves, channel),
         "pixel_size_um": _length(pixels, "PhysicalSizeX", "µm"),
         "refractive_index": index or _index_of(objective.get("Immersion", "")),
     }
+
+
+def _of_channel(waves: list[float | None], channel: int | None) -> float | None:
+    if channel is None:
+        return waves[0] if len(set(waves)) == 1 else None
+    return waves[channel] if channel < len(waves) else None
 
 
 def _objective(root: ElementTree.Element, settings: Mapping[str, str]) -> Mapping[str, str]:
