@@ -96,6 +96,21 @@ def test_terminal_asks_for_what_neither_file_nor_options_say(tmp_path, tissue):
     assert names_in(tmp_path) == ["plain.tif"]
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "saying"),
+    [
+        ("--wavelength", 520, "--wavelength is 520.0; it takes a number of um from 0.1 to 20"),
+        ("--immersion", 9, "--immersion is 9.0; it takes a number from 1 to 2"),
+    ],
+)
+def test_terminal_asks_for_nothing_else_if_a_number_is_impossible(
+    micrograph, option, value, saying
+):
+    result = run("map", micrograph, *TYPED, option, value)
+    assert_fails_in_one_line(result, saying=saying)
+    assert "(--" not in result.stderr
+
+
 def test_table_of_a_batch_has_um_beside_px(micrograph, tmp_path):
     lens = MapSettings(psf="microscope:0.8:0.52:0.1625:1:texture")
     assert measure_batch([micrograph], tmp_path / "out", settings=Settings(map=lens)).failed == 0

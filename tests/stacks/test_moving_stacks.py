@@ -127,7 +127,7 @@ def test_alignment_of_one_channel_serves_another(moving, of_moving, tmp_path):
 
 
 def test_alignment_of_other_planes_is_refused(moving, of_moving):
-    with pytest.raises(ValueError, match=r"align is of 9 planes .* stack has 8 of"):
+    with pytest.raises(ValueError, match=r"alignment is of 9 planes .* stack has 8 of"):
         sharpest_plane(moving.planes[1:], align=of_moving.alignment)
 
 

@@ -78,17 +78,19 @@ def _index(immersion: str) -> float:
 
 
 def _read(known: dict[str, Any], pictures: Sequence[Path]) -> str:
-    from napari_defocus.io.microscope_metadata import read_microscope
+    from napari_defocus.io.microscope_metadata import IncompleteMicroscope, read_microscope
     from napari_defocus.psf.microscope import Microscope
     from napari_defocus.psf.parsing import psf_text
 
-    if {*_OPTIONS} <= {*known}:
-        return psf_text(Microscope(**known))
     try:
+        if {*_OPTIONS} <= {*known}:
+            return psf_text(Microscope(**known))
         noted = {psf_text(read_microscope(path, **known)): path for path in pictures}
-    except ValueError as error:
+    except IncompleteMicroscope as error:
         lacking = ", ".join(option for name, option in _OPTIONS.items() if name not in known)
         raise ValueError(f"{error} ({lacking})") from None
+    except ValueError as error:  # other arguments have the names of their options
+        raise ValueError(str(error).replace("refractive_index", "--immersion")) from None
     if len(noted) > 1:
         (first, one), (second, other), *_ = noted.items()
         raise ValueError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,10 @@ _WHAT = {
 }
 
 Noted = dict[str, float | None]
+
+
+class IncompleteMicroscope(ValueError):
+    """Numbers of a microscope are neither given nor noted."""
 
 
 def read_microscope(
@@ -103,13 +107,15 @@ def read_microscope(
     if missing:
         *first, last = missing
         told = f"{', '.join(first)} and {last}" if first else last
-        raise ValueError(f"{path} does not note {told} of its microscope; give what is missing")
+        raise IncompleteMicroscope(
+            f"{path} does not note {told} of its microscope; give what is missing"
+        )
     return Microscope(**known, specimen=specimen)  # type: ignore[arg-type]  # none is None
 
 
 def _check_one_wavelength(path: str | os.PathLike[str]) -> None:
     if noted_microscope(path, 0)["wavelength_um"] is not None:
-        raise ValueError(
+        raise IncompleteMicroscope(
             f"the channels of {path} have different wavelengths of emission; give the wavelength"
         )
 
@@ -133,13 +139,24 @@ def noted_microscope(path: str | os.PathLike[str], channel: int | None = None) -
         with reading(path):
             found |= _noted_in_xml(text, picture, channel)
     sides = [steps[axis] * MICROMETERS[units[axis]] for axis in "xy" if _is_length(axis, units)]
-    if sides and abs(sides[0] - sides[-1]) > _NOT_SQUARE * sides[0]:
-        raise ValueError(
-            f"the pixels of {path} are {sides[0]:g} x {sides[-1]:g} um; it takes square ones"
-        )
     if sides:
-        found["pixel_size_um"] = sides[0]
+        found["pixel_size_um"] = square_side(path, sides)
     return found
+
+
+def square_side(source: object, sides: Sequence[float]) -> float:
+    """Return the side of the pixels of a source, in um, of their width and height.
+
+    Raises
+    ------
+    ValueError
+        If they are not square.
+    """
+    if abs(sides[0] - sides[-1]) > _NOT_SQUARE * sides[0]:
+        raise ValueError(
+            f"the pixels of {source} are {sides[0]:g} x {sides[-1]:g} um; it takes square ones"
+        )
+    return sides[0]
 
 
 def _is_length(axis: str, units: Mapping[str, str]) -> bool:

@@ -246,8 +246,8 @@ class StackAlignment:
         """
         if (*self.shape, len(self)) != (*shape, planes):
             raise ValueError(
-                f"align is of {len(self)} planes of {self.shape[0]} x {self.shape[1]} px; "
-                f"stack has {planes} of {shape[0]} x {shape[1]} px"
+                f"The alignment is of {len(self)} planes of {self.shape[0]} x {self.shape[1]} px; "
+                f"the stack has {planes} of {shape[0]} x {shape[1]} px"
             )
 
     def _corners(self) -> Float64:

@@ -218,7 +218,7 @@ def test_alignment_is_saved_and_used_for_another_channel(
     StackAlignment.still((50, 60), 7).save(tmp_path / "small.json")
     widget.alignment.use.value = tmp_path / "small.json"
     assert widget.run() is None
-    assert "align is of 7 planes of 50 x 60 px; stack has 7 of 90 x 140 px" in messages()[3]
+    assert "alignment is of 7 planes of 50 x 60 px; the stack has 7 of 90 x 140 px" in messages()[3]
     widget.alignment.use.value = None
     assert widget.align.enabled
 

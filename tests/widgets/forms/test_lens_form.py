@@ -1,8 +1,11 @@
+import numpy as np
 import pytest
+from napari.layers import Image
 
 from napari_defocus import psf_from_text
 from napari_defocus.psf import MICROSCOPE
 from napari_defocus.widgets.forms.lens_form import LENSES, MEASURED, LensForm
+from napari_defocus.widgets.forms.microscope_fields import noted_in_layer
 
 pytestmark = pytest.mark.display
 
@@ -57,3 +60,13 @@ def test_measured_lens_needs_a_file(form):
 def test_pixels_of_a_layer_may_be_wider_than_those_of_microscopes(form):
     form.microscope.take("microscope:0.1:0.52:250:1")
     assert form.microscope.pixel_size.value == 250
+
+
+@pytest.mark.parametrize(("width", "noted"), [(0.1, 0.1), (0.2, None)])
+def test_pixel_size_of_a_layer_is_taken_only_if_pixels_are_square(form, width, noted):
+    layer = Image(np.zeros((8, 8)), scale=(0.1, width), units=("um", "um"))
+    if noted is None:
+        with pytest.raises(ValueError, match="0.1 x 0.2 um; it takes square ones"):
+            noted_in_layer(layer)
+    else:
+        assert noted_in_layer(layer) == {"pixel_size_um": noted}

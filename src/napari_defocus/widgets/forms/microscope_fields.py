@@ -7,7 +7,7 @@ from magicgui.widgets import ComboBox, FloatSpinBox, PushButton, Widget
 from napari.layers import Image
 from napari.utils.notifications import show_info, show_warning
 
-from napari_defocus.io.microscope_metadata import Noted, noted_microscope
+from napari_defocus.io.microscope_metadata import Noted, noted_microscope, square_side
 from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.psf.microscope import Microscope
 from napari_defocus.psf.parsing import psf_from_text, psf_text
@@ -145,9 +145,13 @@ def noted_in_layer(layer: Image) -> Noted:
     """
     path = layer.source.path
     noted: Noted = {} if path is None else noted_microscope(Path(path))
-    side, unit = layer.scale[-1], str(layer.units[-1])
-    if noted.get("pixel_size_um") is None and unit in MICROMETERS:
-        noted["pixel_size_um"] = float(side) * MICROMETERS[unit]
+    sides = [
+        float(side) * MICROMETERS[str(unit)]
+        for side, unit in zip(layer.scale[-2:], layer.units[-2:], strict=True)
+        if str(unit) in MICROMETERS
+    ]
+    if noted.get("pixel_size_um") is None and sides:
+        noted["pixel_size_um"] = square_side(f"“{layer.name}”", sides)
     return noted
 
 
