@@ -176,3 +176,10 @@ def test_table_replaces_a_file_only_if_it_is_told_to(tmp_path):
 def test_what_cannot_be_is_refused_in_words(arguments, error, words):
     with pytest.raises(error, match=words):
         focus_curve(**{"blur_maps": SWEEP, **arguments})
+
+
+def test_curve_of_which_nothing_is_known_does_not_rest_on_all_pixels():
+    maps = np.ones((2, 8, 10))
+    for curve in (focus_curve(maps, confidence=0 * maps), focus_curve(maps, within=maps[0] > 1)):
+        assert curve.best is None
+        assert curve.rests_on == "nothing: no plane is known"

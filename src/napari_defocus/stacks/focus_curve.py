@@ -81,6 +81,8 @@ class FocusCurve:
         >>> focus_curve(maps, confidence=sure).rests_on
         'the 20% of each plane that are sure'
         """
+        if not np.isfinite(self.share_in_focus).any():
+            return "nothing: no plane is known"
         if self.share_sure is None or not np.isfinite(self.share_sure).any():
             return "all pixels, sure or not: there is no confidence"
         ends = np.nanmin(self.share_sure), np.nanmax(self.share_sure)
