@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -311,6 +312,19 @@ def test_names_cannot_break_the_page():
     assert not page.of("b", id="no")
     assert '<script>alert("1")</script>&.png' not in page.text
     assert page.of("a", href="../x/%231%2050%25.png")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, all names are Unicode")
+def test_names_that_are_no_unicode_are_measured_and_shown(tmp_path, grass):
+    name = b"\xdcbung.png".decode("utf-8", "surrogateescape")
+    (tmp_path / "old").mkdir()
+    save(tmp_path / "plain.png", grass[:64, :64])
+    (tmp_path / "plain.png").rename(tmp_path / "old" / name)
+    found = measure_batch(tmp_path / "old", tmp_path / "out", settings=QUICK)
+    assert not found.failed
+    assert list(rows_in(tmp_path / "out")) == [name]
+    page = Page((tmp_path / "out" / "report.html").read_text("utf-8"))
+    assert page.of("a", href="../old/%DCbung.png")
 
 
 @pytest.fixture

@@ -217,7 +217,7 @@ def read_note(path: Path) -> Facts | None:
 def write_note(path: Path, facts: Mapping[str, Any]) -> None:
     """Note something, whole or not at all."""
     content = json.dumps(facts, ensure_ascii=False, indent=1)
-    write_results({path: f"{content}\n".encode()}, force=True)
+    write_results({path: f"{content}\n".encode(errors="backslashreplace")}, force=True)
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

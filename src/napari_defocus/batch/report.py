@@ -100,7 +100,7 @@ def report_contents(folder: BatchFolder, rows: list[Row], limits: FieldLimits) -
     """
     made_with = read_note(folder.plan) or {}
     page = page_of(rows, limits, made_with, folder.path)
-    return {folder.report: page.encode()} | _outlines(folder, rows, limits)
+    return {folder.report: page.encode(errors="backslashreplace")} | _outlines(folder, rows, limits)
 
 
 def _outlines(folder: BatchFolder, rows: list[Row], limits: FieldLimits) -> dict[Path, bytes]:

@@ -141,7 +141,7 @@ def _percent(share: float | None) -> str:
 
 
 def _link(path: str) -> str:
-    return path if ":" in path.partition("/")[0] else quote(path)
+    return path if ":" in path.partition("/")[0] else quote(path, errors="surrogateescape")
 
 
 def fields_of(rows: Sequence[Row], limits: FieldLimits) -> list[Field]:

@@ -45,6 +45,11 @@ RESULTS = ("map", "confidence", "mask", "in_focus", "thumbnail")
 JUDGED = ("share_within_limit", "flags", "well")
 """Columns that follow from the others, from limits and from names; see `judged_rows`."""
 
+_NOT_UNICODE = "backslashreplace"
+"""How names of files that are no Unicode, as old archives have them, are written: a byte becomes
+\\udcdc or so, which JSON reads back.
+"""
+
 BESIDE = ("blur_histogram", "link")
 """What only the JSON lines have: pixels that are known in each bin of `blur_histogram`, and the
 path of the source from the folder of the table.
@@ -185,7 +190,7 @@ def in_csv(rows: Iterable[Row]) -> bytes:
     """Return rows as a CSV file of all `COLUMNS`; what is not known is empty."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([COLUMNS, *map(_cells, rows)])
-    return text.getvalue().encode()
+    return text.getvalue().encode(errors=_NOT_UNICODE)
 
 
 def in_json_lines(rows: Iterable[Row]) -> bytes:
@@ -194,7 +199,9 @@ def in_json_lines(rows: Iterable[Row]) -> bytes:
         dict(zip(COLUMNS, _cells(row), strict=True)) | {name: row.get(name) for name in BESIDE}
         for row in rows
     )
-    return "".join(f"{json.dumps(row, ensure_ascii=False)}\n" for row in objects).encode()
+    return "".join(f"{json.dumps(row, ensure_ascii=False)}\n" for row in objects).encode(
+        errors=_NOT_UNICODE
+    )
 
 
 def rounded(row: Row) -> Row:
