@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from napari_defocus.io import camera_files
+from napari_defocus.core import extras
 from napari_defocus.io.file_kinds import is_raw
 from napari_defocus.io.open import open_source
 from napari_defocus.io.pictures import UnreadablePicture, read_picture
@@ -35,7 +35,7 @@ def neither_installed(monkeypatch):
     def missing(name):
         raise ImportError(name)
 
-    monkeypatch.setattr(camera_files, "import_module", missing)
+    monkeypatch.setattr(extras, "import_module", missing)
 
 
 def refusal_of(path):
