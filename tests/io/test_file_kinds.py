@@ -57,7 +57,7 @@ def refusal_of(path):
         (AVIF, "an AVIF picture"),
         (VIDEO, "a video"),
         (b"RIFF\0\0\0\0AVI LIST", "a video"),
-        (b"ZISRAWFILE\0\0", "OME-TIFF or OME-Zarr"),
+        (b"\x89HDF\r\n", "OME-TIFF or OME-Zarr with Fiji or bioformats2raw first"),
         (bytes(128) + b"DICM", "a DICOM file"),
         (b'<?xml version="1.0"?><svg/>', "an XML or SVG file"),
         ("Grüße\n".encode() * 400, "a text file; PNG, JPEG, TIFF, WebP, BMP and GIF"),

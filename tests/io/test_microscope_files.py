@@ -106,6 +106,18 @@ def test_tiles_of_a_czi_become_one_picture_with_red_as_red(czi_mosaic):
     np.testing.assert_array_equal(source.data[50:80, 60:130].compute(), shown[50:80, 60:130])
 
 
+def test_scenes_that_a_czi_does_not_name_are_not_left_out_in_silence(tmp_path, stack):
+    pytest.importorskip("bioio_czi")
+    writer = pytest.importorskip("pylibCZIrw.czi")
+    path = tmp_path / "two.czi"
+    with writer.create_czi(str(path)) as document:
+        for scene in range(2):
+            document.write(stack[0, scene], location=(300 * scene, 0), scene=scene)
+        document.write_metadata("two", scale_x=1e-7, scale_y=1e-7)
+    with pytest.raises(UnreadablePicture, match="it has 2 scenes, and notes only 1 of them"):
+        open_source(path)
+
+
 def test_czi_works_in_a_terminal(czi_stack, czi_mosaic, tmp_path):
     path, _ = czi_mosaic
     facts = json.loads(run("map", path, "-o", tmp_path / "map.tif", "--stride", 8, "--json").stdout)
@@ -131,8 +143,8 @@ def lif_scene(name, values, axes, block):
     for axis, size in reversed(sizes.items()):
         strides[axis], step = step, step * size
     channels = [
-        f'<ChannelDescription DataType="0" ChannelTag="0" Resolution="16" NameOfMeasuredQuantity="" '
-        f'Min="0" Max="65535" Unit="" LUTName="{lut}" IsLUTInverted="0" '
+        f'<ChannelDescription DataType="0" ChannelTag="0" Resolution="16" '
+        f'NameOfMeasuredQuantity="" Min="0" Max="65535" Unit="" LUTName="{lut}" IsLUTInverted="0" '
         f'BytesInc="{at * strides.get("c", 0)}" BitInc="0"/>'
         for at, lut in enumerate(["Green", "Red"][: sizes.get("c", 1)])
     ]
@@ -233,11 +245,15 @@ def test_other_files_have_no_scenes(tmp_path):
 def test_damaged_files_are_refused_in_one_line(tmp_path, stack):
     pytest.importorskip("bioio_lif")
     whole = write_lif(tmp_path / "whole.lif", [("cells", stack, "czyx")]).read_bytes()
-    for name, content in (("a.czi", b"ZISRAWFILE" + bytes(200)), ("a.lif", whole[:500])):
+    pytest.importorskip("bioio_czi")
+    files = [("a.czi", b"ZISRAWFILE" + bytes(200), "CZI"), ("a.lif", whole[:500], "LIF")]
+    for name, content, kind in files:
         path = tmp_path / name
         path.write_bytes(content)
         with pytest.raises(UnreadablePicture) as refused:
             open_source(path)
+        assert f"{path}: it is a {kind} file of " in str(refused.value)
+        assert "which could not be read (" in str(refused.value)
         assert "\n" not in str(refused.value)
 
 

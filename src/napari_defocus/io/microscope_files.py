@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from napari_defocus.core.extras import extra_package
+from napari_defocus.core.writing import in_one_line
 from napari_defocus.io.file_kinds import EXPORT_STACK, MicroscopeFormat, microscope_format
 
 if TYPE_CHECKING:
@@ -25,10 +26,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "bioio_lif": _PLANE_BY_PLANE,
     "bioio_nd2": {},
 }
-_BLUE_FIRST = "bioio_czi"
-"""Whose colours are in the order in which CZI keeps them: blue, green, red."""
-
-_OF_LEICA = "bioio_lif"
+_OF_ZEISS, _OF_LEICA = "bioio_czi", "bioio_lif"
 
 _MOST_LISTED = 6
 _COLORS = (3, 4)
@@ -110,7 +108,41 @@ def _reader_of(path: Path) -> tuple[Any, MicroscopeFormat]:
     if known is None:
         raise ValueError("it is no file of a microscope")
     package = extra_package(known.package, EXTRA, known.told, EXPORT_STACK)
-    return package.Reader(path, **_OPTIONS[known.package]), known
+    with _by_the_library(known):
+        reader = package.Reader(path, **_OPTIONS[known.package])
+        names, held = reader.scenes, _scenes_held(path, known)
+    if not names:
+        raise ValueError(f"it is {known.told}, and holds no picture")
+    if held > len(names):
+        raise ValueError(
+            f"it is {known.told}: it has {held} scenes, and notes only {len(names)} of them; "
+            f"{EXPORT_STACK} first"
+        )
+    return reader, known
+
+
+def _scenes_held(path: Path, known: MicroscopeFormat) -> int:
+    """Return how many scenes a CZI file holds: its reader counts those that its XML names."""
+    if known.package != _OF_ZEISS:
+        return 0
+    from aicspylibczi import CziFile
+
+    with path.open("rb") as file:
+        parts = CziFile(file).get_dims_shape()
+    return len({scene for part in parts for scene in range(*part.get("S", (0, 0)))})
+
+
+@contextmanager
+def _by_the_library(known: MicroscopeFormat) -> Iterator[None]:
+    """Say what the file is if a reader of others cannot read it."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise ValueError(
+            f"it is {known.told}, which could not be read ({in_one_line(error)})"
+        ) from error
 
 
 def _check_scene(scene: int, count: int) -> None:
@@ -119,10 +151,11 @@ def _check_scene(scene: int, count: int) -> None:
 
 
 def _opened(reader: Any, known: MicroscopeFormat, scene: int) -> MicroscopeScene:
-    reader.set_scene(scene)
-    mosaic = "M" in reader.dims.order
-    array = reader.mosaic_xarray_dask_data if mosaic else reader.xarray_dask_data
-    data, axes = _in_order(array, blue_first=known.package == _BLUE_FIRST)
+    with _by_the_library(known):
+        reader.set_scene(scene)
+        mosaic = "M" in reader.dims.order
+        array = reader.mosaic_xarray_dask_data if mosaic else reader.xarray_dask_data
+    data, axes = _in_order(array, blue_first=known.package == _OF_ZEISS)
     steps = dict(_steps(reader, array))
     kept = {axis: step for axis, step in steps.items() if axis in axes}
     units = {axis: "second" if axis == "t" else "micrometer" for axis in kept}
@@ -147,6 +180,7 @@ def _in_order(array: Any, *, blue_first: bool) -> tuple[da.Array, str]:
     if axes.endswith("s"):
         if data.shape[-1] not in _COLORS:
             raise ValueError(f"it has {data.shape[-1]} colours; 3 or 4 are read")
+        # That is the order in which CZI keeps colours, and its reader leaves them so.
         if blue_first:
             data = data[..., [2, 1, 0, 3][: data.shape[-1]]]
     return data, axes
