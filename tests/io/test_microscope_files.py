@@ -362,3 +362,15 @@ def test_without_the_extra_folders_leave_such_files_out(tmp_path, monkeypatch):
     Path(tmp_path, "cells.czi").touch()
     with pytest.raises(UnreadablePicture, match=r"has no pictures .*left out: 1 \.czi"):
         find_sources([tmp_path])
+
+
+def test_layer_of_another_plugin_keeps_its_pixel_size_without_the_extra(tmp_path, monkeypatch):
+    """napari opens such files with any plugin that reads them."""
+    from napari_defocus.widgets.forms.microscope_fields import noted_in_layer
+
+    monkeypatch.setattr("napari_defocus.io.microscope_files.is_there", lambda package: False)
+    path = tmp_path / "cells.czi"
+    path.write_bytes(b"ZISRAWFILE" + bytes(200))
+    source = SimpleNamespace(path=str(path))
+    layer = SimpleNamespace(source=source, scale=(0.2, 0.2), units=("micrometer", "micrometer"))
+    assert noted_in_layer(layer) == {"pixel_size_um": 0.2}

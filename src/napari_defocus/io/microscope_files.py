@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from napari_defocus.core.extras import extra_package
+from napari_defocus.core.extras import extra_package, is_there
 from napari_defocus.core.writing import in_one_line
 from napari_defocus.io.file_kinds import EXPORT_STACK, MicroscopeFormat, microscope_format
 
@@ -78,6 +78,12 @@ def open_microscope_file(path: Path, scene: int | None = None) -> MicroscopeScen
             "scene chooses one (open_source(path, scene=0), or sharpest --scene 0 in a terminal)"
         )
     return _beside_each_other(opened)
+
+
+def lacks_extra(path: Path) -> bool:
+    """Return whether a file is a CZI, ND2 or LIF file whose reader is not installed."""
+    known = microscope_format(path) if path.is_file() else None
+    return known is not None and not is_there(known.package)
 
 
 def ome_xml_of(path: Path) -> str | None:
