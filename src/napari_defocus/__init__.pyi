@@ -29,10 +29,13 @@ from .api.restoration import (
     restore_all_in_focus as restore_all_in_focus,
 )
 from .batch.batch import (
+    measure_batch as measure_batch,
+)
+from .batch.outcome import (
     BatchReport as BatchReport,
 )
-from .batch.batch import (
-    measure_batch as measure_batch,
+from .batch.report import (
+    write_report as write_report,
 )
 from .core.progress import (
     Cancelled as Cancelled,
@@ -162,6 +165,9 @@ from .restoration.all_in_focus import (
 )
 from .restoration.refocusing import (
     change_focus as change_focus,
+)
+from .settings import (
+    FieldLimits as FieldLimits,
 )
 from .stacks.alignment import (
     StackAlignment as StackAlignment,

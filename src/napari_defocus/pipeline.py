@@ -238,19 +238,27 @@ def settled_mask(
 
 
 def threshold_of_stack(
-    planes: Sequence[Any], settings: MapSettings, intensity_range: IntensityRange | None = None
+    planes: Sequence[Any],
+    settings: MapSettings,
+    intensity_range: IntensityRange | None = None,
+    within: Sequence[Any] | None = None,
 ) -> float:
-    """Return one threshold for planes of dask that are measured one by one; some are read now."""
+    """Return one threshold for planes of dask that are measured one by one; some are read now.
+
+    If masks are given, one a plane, only what they mark counts.
+    """
     import dask
     import dask.array as da
 
     from napari_defocus.tiled.psf_of_planes import evenly_spaced
 
-    stack = da.stack([planes[at] for at in evenly_spaced(len(planes), THRESHOLD_PLANES)])
+    some = [*evenly_spaced(len(planes), THRESHOLD_PLANES)]
+    stack = da.stack([planes[at] for at in some])
+    marked = None if within is None else da.stack([within[at] for at in some])
     axes = "zyxs" if stack.ndim > 3 else "zyx"
     with dask.config.set(scheduler="synchronous"):
         candidates = measure_candidates(stack, settings, intensity_range, axes=axes)
-        return napari_defocus.focus_threshold(candidates, stack)
+        return napari_defocus.focus_threshold(candidates, stack, within=marked)
 
 
 def threshold_of_planes(

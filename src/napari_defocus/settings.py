@@ -12,11 +12,13 @@ from napari_defocus.core.checks import (
     Side,
     Unknown,
     check_aperture,
+    check_confidence,
     check_flag,
     check_focus,
     check_linearize,
     check_mode,
     check_noise_variance,
+    check_number,
     check_risk,
     check_side,
     check_softness,
@@ -26,6 +28,7 @@ from napari_defocus.core.checks import (
     check_weights,
     check_whole,
 )
+from napari_defocus.core.picture_remarks import SATURATED
 from napari_defocus.psf import MAX_RADIUS, is_left_open
 
 if TYPE_CHECKING:
@@ -222,3 +225,47 @@ class RefocusSettings:
         check_aperture(self.aperture)
         check_side(self.side)
         check_linearize(self.linearize)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldLimits:
+    """Which fields of a batch are flagged in its table and its report.
+
+    All shares are from 0 to 1. A field is a picture, or a plane of a stack. The defaults are
+    chosen by hand, and careful with motion: bricks and stalks have `one_direction` up to 0.9.
+    Cells and tissue have up to 0.5 and, after motion, 0.7 or more: 0.6 is a good limit for them.
+
+    Attributes
+    ----------
+    in_focus_up_to : float
+        Largest blur radius, in px, that counts as in focus. A field whose median is above it is
+        out of focus.
+    min_share_in_focus : float
+        A field is partly out of focus if less of what is known is in focus.
+    min_share_known : float
+        A field is empty if less of it is known, which is a confidence of 0.5 or more.
+    max_share_saturated : float
+        A field is saturated if more of its pixels are as bright as the picture can be.
+    max_one_direction : float
+        A field does not look like defocus if its places agree more in the direction of their
+        details, as after motion: 0 is not at all, 1 is all in one.
+
+    Examples
+    --------
+    >>> FieldLimits(in_focus_up_to=2.5).min_share_in_focus
+    0.75
+    """
+
+    in_focus_up_to: float = 1.5
+    min_share_in_focus: float = 0.75
+    min_share_known: float = 0.05
+    max_share_saturated: float = SATURATED
+    max_one_direction: float = 0.95
+
+    def __post_init__(self) -> None:
+        """Refuse impossible values before any work is done with them."""
+        above = "a finite number of px above 0"
+        check_number("in_focus_up_to", self.in_focus_up_to, lambda v: 0 < v < math.inf, above)
+        shares = ("min_share_in_focus", "min_share_known", "max_share_saturated")
+        for name in (*shares, "max_one_direction"):
+            check_confidence(name, getattr(self, name))

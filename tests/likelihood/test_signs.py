@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import convolve1d, rotate
 
 from napari_defocus import estimate_candidates
+from napari_defocus.likelihood.signs import one_direction
 
 
 def moved(picture, length, angle):
@@ -56,3 +57,16 @@ def test_windows_are_measured_the_same_after_a_turn(clouds, defocused):
 def test_pictures_are_doubted_in_the_mode_of_the_paper_too(clouds):
     candidates = estimate_candidates(moved(clouds, 13, 0), mode="paper")
     assert candidates.doubt is not None
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-4])
+def test_places_agree_in_one_direction_after_motion_alone_whatever_the_noise(
+    clouds, gravel, defocused, noise
+):
+    for texture in (clouds, gravel):
+        still, moving = defocused(texture, 3, noise), moved(texture, 15, 30)
+        moving += np.random.default_rng(0).normal(0, np.sqrt(noise), moving.shape)
+        found = [estimate_candidates(picture, stride=8) for picture in (still, moving)]
+        low, high = (one_direction(each.strength, each.direction) for each in found)
+        assert low < 0.5
+        assert high > 0.7

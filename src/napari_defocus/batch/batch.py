@@ -16,7 +16,10 @@ from typing import TYPE_CHECKING, get_args
 
 import napari_defocus
 from napari_defocus.batch.cluster import Job, in_this_process, outcomes
-from napari_defocus.batch.folder import BatchFolder
+from napari_defocus.batch.flags import judged_rows
+from napari_defocus.batch.folder import BatchFolder, path_from
+from napari_defocus.batch.masks_beside import masks_of
+from napari_defocus.batch.outcome import BatchReport
 from napari_defocus.batch.planes import (
     BatchPlan,
     PlaneTask,
@@ -26,6 +29,7 @@ from napari_defocus.batch.planes import (
     measure_plane,
     reason,
 )
+from napari_defocus.batch.report import report_contents
 from napari_defocus.batch.sources import (
     BatchInput,
     FileFormat,
@@ -37,7 +41,7 @@ from napari_defocus.batch.sources import (
     plane_size,
     unopened,
 )
-from napari_defocus.batch.table import FAILED, Row, in_csv, in_json_lines
+from napari_defocus.batch.table import Row, in_csv, in_json_lines, rounded
 from napari_defocus.batch.tiled_planes import TiledPlane, TileNote
 from napari_defocus.core.checks import (
     check_block_size,
@@ -51,39 +55,10 @@ from napari_defocus.core.writing import NeedsForce, UnwritableResult, write_resu
 from napari_defocus.io.open import Source
 from napari_defocus.io.picture_files import Inputs, PictureFiles, as_paths, look_for_pictures
 from napari_defocus.io.settings_file import Settings
-from napari_defocus.settings import BLOCK_SIZE
+from napari_defocus.settings import BLOCK_SIZE, FieldLimits
 
 if TYPE_CHECKING:
     from distributed import Client
-
-
-@dataclass(frozen=True)
-class BatchReport:
-    """The results of a batch.
-
-    Attributes
-    ----------
-    table : Path
-        A CSV file. A file with the same rows as JSON lines lies beside it.
-    planes, failed : int
-        How many rows the table has, and how many of these could not be measured.
-    left_out : dict of str to int
-        How many files of the folders and patterns were left out, by their endings, such as ".txt".
-        "result" counts results of this package, "folder" folders in a folder.
-    doubtful : int
-        How many rows say in their column "careful" why the picture tells little of its blur.
-
-    Examples
-    --------
-    >>> BatchReport(Path("measured", "table.csv"), planes=12, failed=1).failed
-    1
-    """
-
-    table: Path
-    planes: int
-    failed: int
-    left_out: dict[str, int] = field(default_factory=dict, hash=False)
-    doubtful: int = 0
 
 
 def measure_batch(
@@ -96,13 +71,16 @@ def measure_batch(
     restore: bool = False,
     min_confidence: float = 0.0,
     intensity_range: tuple[float, float] | None = None,
+    within: str | os.PathLike[str] | None = None,
+    limits: FieldLimits | None = None,
+    report: bool = True,
     file_format: FileFormat = "auto",
     block_size: int = BLOCK_SIZE,
     force: bool = False,
     client: Client | None = None,
     progress: Progress = silent,
 ) -> BatchReport:
-    """Measure many pictures and stacks: a blur map of each plane, and a table with a row a plane.
+    """Measure many pictures and stacks: a map of each plane, a table of all, and a report.
 
     It can be ended at any moment, even killed, and called again. What is finished is not done
     again. The results are the same as those of an undisturbed run, byte for byte, with any number
@@ -117,8 +95,8 @@ def measure_batch(
         such as maps, are left out, whatever their names are.
     output : path-like
         A folder; it is made if its parent is there. It gets `table.csv` and `table.jsonl`, whose
-        rows are in the order of the inputs; a folder `maps`; and, hidden, notes of what is
-        finished.
+        rows are in the order of the inputs; `report.html` with a folder `thumbnails`; a folder
+        `maps`; and, hidden, notes of what is finished.
     settings : Settings, optional
         All but `refocus` is used. The threshold of masks also decides what counts as in focus in
         the table.
@@ -129,6 +107,15 @@ def measure_batch(
         Maps are NaN where the confidence is lower; the table still counts all pixels.
     intensity_range : (float, float), optional
         The intensities that mean black and white, of all pictures.
+    within : path-like, optional
+        A folder of masks or labels with the names of the pictures, or one mask for all of them:
+        integers, as large as the pictures. Shares, medians and flags count only what is not 0.
+    limits : FieldLimits, optional
+        Which fields are flagged. Other limits are no reason to measure again: `write_report`
+        applies them to a table.
+    report : bool, optional
+        Whether to write `report.html`, a page that any browser opens from disk: all fields, worst
+        first, with thumbnails, and the plate if names say wells.
     file_format : {"auto", "tiff", "ome-zarr"}, optional
         The format of the results. "auto" is TIFF, and PNG for masks and restored pictures, if it
         is a single picture of up to 64 megapixels. It is OME-Zarr for others.
@@ -153,7 +140,8 @@ def measure_batch(
     Raises
     ------
     UnreadablePicture
-        If an input names nothing, or a map, a mask or a drawing of this package.
+        If an input names nothing, or a map, a mask or a drawing of this package, or a mask of
+        `within` is missing.
     UnwritableResult
         If the output cannot be written, or a result is an input, or another batch is at work in
         the folder. Without `force`, also if the folder holds files that no batch made, or a batch
@@ -180,9 +168,11 @@ def measure_batch(
     (2, 0, ['status', 'done', 'done'])
     """
     need_large_extra()
-    flags = {"confidence": confidence, "mask": mask, "restore": restore, "force": force}
-    for name, value in flags.items():
+    switches = {"confidence": confidence, "mask": mask, "restore": restore, "force": force}
+    for name, value in (switches | {"report": report}).items():
         check_flag(name, value)
+    if limits is not None and not isinstance(limits, FieldLimits):
+        raise TypeError(f"limits is {limits!r}; it takes FieldLimits")
     asked = {"map": True, "confidence": confidence, "mask": mask, "in_focus": restore}
     plan = _checked(
         BatchPlan(
@@ -191,6 +181,8 @@ def measure_batch(
             min_confidence=min_confidence,
             intensity_range=intensity_range,
             block_size=block_size,
+            within=None if within is None else os.fspath(within),
+            thumbnails=report,
         )
     )
     if not isinstance(file_format, str) or file_format not in get_args(FileFormat):
@@ -200,10 +192,12 @@ def measure_batch(
     folder = BatchFolder(Path(output).absolute())
     looked = _sources(inputs, folder)
     made_with = json.loads(json.dumps(plan.facts() | {"file_format": file_format}))
-    found = compared_inputs(looked.pictures, folder, made_with)
+    masks = None if within is None else masks_of(looked.pictures, within)
+    found = compared_inputs(looked.pictures, folder, made_with, masks)
     if not force:
         _refuse_changed(found, folder)
-    batch = _Batch(folder, plan, file_format, found, looked.left_out, _Counter(progress))
+    judging = limits or FieldLimits()
+    batch = _Batch(folder, plan, file_format, found, looked.left_out, judging, _Counter(progress))
     lending = nullcontext(client) if client is not None else in_this_process()
     with folder.begun(made_with, force=force), lending as lent:
         try:
@@ -232,12 +226,12 @@ def _checked(plan: BatchPlan) -> BatchPlan:
 
 def _sources(inputs: Inputs, folder: BatchFolder) -> PictureFiles:
     """Return the sources, without the results of an earlier run that a pattern finds."""
-    given, results = as_paths(inputs), folder.results.resolve()
+    given, results = as_paths(inputs), {folder.results.resolve(), folder.thumbnails.resolve()}
     for one in given:
-        if results in (one.resolve(), *one.resolve().parents):
+        if results & {one.resolve(), *one.resolve().parents}:
             raise UnwritableResult(f"cannot write {one}: it is a result and an input")
     looked = look_for_pictures(given, besides=folder.path)
-    pictures = [path for path in looked.pictures if results not in path.resolve().parents]
+    pictures = [path for path in looked.pictures if not results & {*path.resolve().parents}]
     return PictureFiles(pictures, looked.left_out)
 
 
@@ -317,6 +311,7 @@ class _Batch:
     file_format: FileFormat
     inputs: list[BatchInput]
     left_out: dict[str, int]
+    limits: FieldLimits
     counter: _Counter
     rows: dict[str, list[Row]] = field(default_factory=dict)
     works: dict[str, SourceWork] = field(default_factory=dict)
@@ -331,15 +326,24 @@ class _Batch:
         self._work_off(client, self._measurements())
 
     def write_tables(self) -> BatchReport:
-        """Write the table of all planes that were tried."""
+        """Write the table of all planes that were tried, and the report that shows it."""
         for name, work in self.works.items():
             self.rows[name] = work.rows_in_order()
-        rows = [row for each in self.inputs for row in self.rows.get(each.name, [])]
+        linked = (
+            self._linked(row, each) for each in self.inputs for row in self.rows.get(each.name, [])
+        )
+        rows = judged_rows(linked, self.limits)
         csv, json_lines = self.folder.tables
-        write_results({csv: in_csv(rows), json_lines: in_json_lines(rows)}, force=True)
-        failures = sum(row["status"] == FAILED for row in rows)
-        doubtful = sum(bool(row.get("careful")) for row in rows)
-        return BatchReport(csv, len(rows), failures, self.left_out, doubtful)
+        contents = {csv: in_csv(rows), json_lines: in_json_lines(rows)}
+        if self.plan.thumbnails:
+            contents |= report_contents(self.folder, rows, self.limits)
+        write_results(contents, force=True)
+        page = self.folder.report if self.plan.thumbnails else None
+        return BatchReport.of_rows(rows, csv, left_out=self.left_out, report=page)
+
+    def _linked(self, row: Row, each: BatchInput) -> Row:
+        """Return a row as tables have it, with the path of its source from their folder."""
+        return rounded(row) | {"link": path_from(self.folder.path, each.given)}
 
     def _work_off(self, client: Client, jobs: Iterator[Job]) -> None:
         """Do jobs, and those that come of them; what was at work when a worker died, alone."""

@@ -39,6 +39,16 @@ class BatchFolder:
         return self.path / "maps"
 
     @property
+    def thumbnails(self) -> Path:
+        """Where the small pictures of the report are."""
+        return self.path / "thumbnails"
+
+    @property
+    def report(self) -> Path:
+        """The page that shows the table and the thumbnails."""
+        return self.path / "report.html"
+
+    @property
     def notes(self) -> Path:
         """Where it is noted what is finished."""
         return self.path / ".batch"
@@ -53,9 +63,35 @@ class BatchFolder:
         """The same rows twice."""
         return self.path / "table.csv", self.path / "table.jsonl"
 
+    def thumbnail(self, name: str, index: tuple[int, ...]) -> Path:
+        """Return where the thumbnail of a plane is; those of a stack have a folder."""
+        if not index:
+            return self.thumbnails / f"{name}.jpg"
+        return self.thumbnails / name / f"plane{''.join(f'-{at}' for at in index)}.jpg"
+
     def of_source(self, name: str) -> SourceNotes:
         """Return the notes of a source."""
         return SourceNotes(self.notes / "sources" / name)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Let no other batch in; when this process has ended, however it has, others get in.
+
+        Raises
+        ------
+        UnwritableResult
+            If another batch is at work there.
+        """
+        from filelock import FileLock, Timeout
+
+        try:
+            lock = FileLock(self.notes / "lock").acquire(blocking=False)
+        except Timeout as error:
+            raise UnwritableResult(
+                f"cannot write into {self.path}: another batch is at work there"
+            ) from error
+        with lock:
+            yield
 
     @contextmanager
     def begun(self, made_with: Facts, *, force: bool) -> Iterator[None]:
@@ -69,8 +105,6 @@ class BatchFolder:
             If something is there that no batch made, or a batch that was made with other
             settings, and `force` is not set; if another batch is at work there.
         """
-        from filelock import FileLock, Timeout
-
         before = read_note(self.plan)
         if before is None:
             self._check_unused(force)
@@ -84,13 +118,7 @@ class BatchFolder:
                 folder.mkdir(exist_ok=True)
             except OSError as error:
                 raise UnwritableResult(f"cannot make {folder}: {error.strerror}") from error
-        try:
-            held = FileLock(self.notes / "lock").acquire(blocking=False)
-        except Timeout as error:
-            raise UnwritableResult(
-                f"cannot write into {self.path}: another batch is at work there"
-            ) from error
-        with held:
+        with self.held():
             self._remove_left_over()
             write_note(self.plan, made_with)
             yield
@@ -100,9 +128,8 @@ class BatchFolder:
             raise UnwritableResult(f"cannot write into {self.path}: it is not a folder")
         if not self.path.parent.is_dir():
             raise UnwritableResult(f"cannot make {self.path}: there is no folder above it")
-        held = [path for path in self.tables if path.exists()]
-        if self.results.exists() and (not self.results.is_dir() or any(self.results.iterdir())):
-            held.append(self.results)
+        held = [path for path in (*self.tables, self.report) if path.exists()]
+        held += filter(_is_used, (self.results, self.thumbnails))
         if held and not force:
             raise NeedsForce(
                 f"cannot write into {self.path}: {held[0].name} exists, and no batch made it",
@@ -110,9 +137,14 @@ class BatchFolder:
             )
 
     def _remove_left_over(self) -> None:
-        places = (self.path, self.results, self.notes, *self.notes.glob("sources/*"))
+        small = (self.thumbnails, *(each for each in self.thumbnails.glob("*") if each.is_dir()))
+        places = (self.path, self.results, *small, self.notes, *self.notes.glob("sources/*"))
         for part in chain.from_iterable(folder.glob(_PARTS) for folder in places):
             part.unlink(missing_ok=True)
+
+
+def _is_used(place: Path) -> bool:
+    return place.exists() and (not place.is_dir() or any(place.iterdir()))
 
 
 @dataclass(frozen=True)
@@ -155,6 +187,20 @@ class SourceNotes:
     def store(self, kind: str) -> Path:
         """Return where regions wait that become a file of another format at the end."""
         return self.folder / f"{kind}.ome.zarr"
+
+
+def path_from(folder: Path, path: Path) -> str:
+    """Return the path of something as links of a page in a folder have it.
+
+    Examples
+    --------
+    >>> path_from(Path("/data/measured"), Path("/data/fields/A01.tif"))
+    '../fields/A01.tif'
+    """
+    try:
+        return Path(os.path.relpath(path.absolute(), folder)).as_posix()
+    except ValueError:  # on another drive
+        return path.absolute().as_uri()
 
 
 def read_note(path: Path) -> Facts | None:

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 import napari_defocus
 from napari_defocus.batch.folder import Facts, read_note, write_note
+from napari_defocus.batch.masks_beside import MaskSource
+from napari_defocus.batch.picture_signs import signs_of_picture
 from napari_defocus.batch.table import (
     DONE,
     FAILED,
@@ -25,8 +27,8 @@ from napari_defocus.batch.table import (
     count_pixels,
     defocus_facts,
 )
+from napari_defocus.batch.thumbnails import small_pictures
 from napari_defocus.core.intensity import Limits
-from napari_defocus.core.picture_remarks import picture_remarks
 from napari_defocus.core.progress import silent
 from napari_defocus.core.writing import write_results
 from napari_defocus.io.encoders import (
@@ -53,9 +55,8 @@ from napari_defocus.pipeline import (
     threshold_of_stack,
     used,
 )
-from napari_defocus.psf.microscope import Microscope
 from napari_defocus.restoration.all_in_focus import Restoration, RestorationFit
-from napari_defocus.settings import BLOCK_SIZE, MapSettings, MaskSettings
+from napari_defocus.settings import BLOCK_SIZE, CONFIDENT, UNKNOWN, MapSettings, MaskSettings
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -90,6 +91,7 @@ class BatchPlan:
     """What is made of every plane: `kinds` of `KINDS`, "map" among them.
 
     Below `min_confidence`, the map is NaN. Large planes have parts of `block_size` px a side.
+    `within` is where the masks are, if only what they mark counts.
     """
 
     settings: Settings
@@ -97,6 +99,8 @@ class BatchPlan:
     min_confidence: float
     intensity_range: tuple[float, float] | None
     block_size: int = BLOCK_SIZE
+    within: str | None = None
+    thumbnails: bool = False
 
     def restoration(self, psf: PSFFamily, noise_variance: float | None) -> Restoration:
         """Return how planes with a family's blur are restored."""
@@ -109,6 +113,7 @@ class BatchPlan:
         confidence: NDArray[Any],
         mask: NDArray[Any] | None,
         threshold: float,
+        within: NDArray[Any] | None = None,
     ) -> PixelCounts:
         """Return what the table needs of a plane, or of a part of it."""
         return count_pixels(
@@ -117,6 +122,7 @@ class BatchPlan:
             mask,
             threshold=threshold,
             max_scale=self.settings.map.family().max_scale,
+            within=within,
         )
 
     def facts(self) -> Facts:
@@ -134,6 +140,7 @@ class BatchPlan:
             "min_confidence": self.min_confidence,
             "intensity_range": self.intensity_range and list(self.intensity_range),
             "block_size": self.block_size,
+            "within": self.within,
         }
 
     def description(self, kind: str) -> Facts:
@@ -191,6 +198,8 @@ class PlaneTask:
     stack: Path | None = None
     lens_from: Path | None = None
     threshold_from: Path | None = None
+    within: MaskSource | None = None
+    thumbnail: Path | None = None
 
     def map_settings(self) -> MapSettings:
         """Return what shapes the map: with the lens of the stack, which one worker chooses."""
@@ -206,11 +215,14 @@ class PlaneTask:
             write_note(path, noted)
         return replace(settings, psf=noted["psf"])
 
-    def mask_settings(self, picture: NDArray[Any], found: BlurCandidates) -> MaskSettings:
+    def mask_settings(
+        self, picture: NDArray[Any], found: BlurCandidates, within: NDArray[Any] | None = None
+    ) -> MaskSettings:
         """Return what shapes the mask: with the threshold of the picture, or of its stack."""
         settings, limits = self.plan.settings.mask, self.plan.intensity_range
         if self.threshold_from is None:
-            return settled_mask(found, picture, settings, limits)
+            where = within if within is not None and within.any() else None
+            return settled_mask(found, picture, settings, limits, within=where)
         return replace(settings, threshold=self.threshold_of_stack())
 
     def threshold_of_stack(self) -> float:
@@ -220,7 +232,9 @@ class PlaneTask:
         noted = read_note(path)
         if noted is None:
             planes, limits = _planes_of(self.threshold_from), self.plan.intensity_range
-            noted = {"threshold": threshold_of_stack(planes, self.map_settings(), limits)}
+            masks = None if self.within is None else self.within.of_stack(self.threshold_from)
+            found = threshold_of_stack(planes, self.map_settings(), limits, masks)
+            noted = {"threshold": found}
             write_note(path, noted)
         return float(noted["threshold"])
 
@@ -243,15 +257,16 @@ def measure_plane(task: PlaneTask) -> Row:
     try:
         picture = np.asarray(task.plane.compute(scheduler="synchronous"))
         plan = task.plan
+        within = None if task.within is None else task.within.plane(picture.shape, task.index)
         found = measure_map(picture, task.map_settings(), plan.intensity_range, silent)
         assert found.candidates is not None
-        shaping = task.mask_settings(picture, found.candidates)
-        made = _made_of(found, picture, task, shaping)
-        _write(task, made, found, picture)
-        row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan, shaping)
+        shaping = task.mask_settings(picture, found.candidates, within)
+        made = _made_of(found, picture, task, shaping, within)
+        _write(task, made, found, picture, within)
+        row = task.known | {"status": DONE} | _facts(found, made.get("mask"), plan, shaping, within)
         if LEFT in made:
             row[LEFT] = float(made[LEFT].mean())
-        row |= task.results | {"careful": _remarks(picture, found, row)}
+        row |= task.results | signs_of_picture(picture, found, within, row)
         write_note(task.row_path, row)
     except Exception as error:
         return failed(task.known, reason(error))
@@ -271,18 +286,34 @@ def reason(error: BaseException) -> str:
 
 
 def _made_of(
-    found: Measurement, picture: NDArray[Any], task: PlaneTask, shaping: MaskSettings
+    found: Measurement,
+    picture: NDArray[Any],
+    task: PlaneTask,
+    shaping: MaskSettings,
+    within: NDArray[Any] | None,
 ) -> dict[str, NDArray[Any]]:
     plan = task.plan
     assert found.candidates is not None
     assert found.confidence is not None
     made = {"map": found.trusted(plan.min_confidence), "confidence": found.confidence}
     if "mask" in plan.kinds:
-        made["mask"] = segment(found.candidates, picture, shaping, plan.intensity_range)
+        made["mask"] = _masked(found.candidates, picture, shaping, plan, within)
     if "in_focus" in plan.kinds:
         restored, fit = _restored(found, picture, task)
         made |= {"in_focus": with_opacity(restored, picture), LEFT: fit.left_as_it_was}
     return made
+
+
+def _masked(
+    candidates: BlurCandidates,
+    picture: NDArray[Any],
+    shaping: MaskSettings,
+    plan: BatchPlan,
+    within: NDArray[Any] | None,
+) -> NDArray[np.uint8]:
+    if within is not None and not within.any():
+        return np.full(within.shape, UNKNOWN if shaping.unknown == "leave" else 0, np.uint8)
+    return segment(candidates, picture, shaping, plan.intensity_range, within=within)
 
 
 def _restored(
@@ -315,27 +346,26 @@ def _stack_limits(task: PlaneTask) -> Limits:
 
 
 def _facts(
-    found: Measurement, mask: NDArray[Any] | None, plan: BatchPlan, shaping: MaskSettings
+    found: Measurement,
+    mask: NDArray[Any] | None,
+    plan: BatchPlan,
+    shaping: MaskSettings,
+    within: NDArray[Any] | None,
 ) -> Row:
     assert found.confidence is not None
     threshold, noise = threshold_in_px(shaping), found.noise_variance
-    counts = plan.counts(found.blur_map, found.confidence, mask, threshold)
+    counts = plan.counts(found.blur_map, found.confidence, mask, threshold, within)
     facts = counts.facts() | {"noise_variance": None if noise is None else float(noise)}
     facts |= {"threshold_px": threshold} | defocus_facts(facts, found.psf)
     return facts | ({} if found.intensities is None else found.intensities.facts())
 
 
-def _remarks(picture: NDArray[Any], found: Measurement, row: Row) -> str | None:
-    """Return why a plane tells little of its blur, in sentences; None if nothing says so."""
-    assert found.candidates is not None
-    remarks = [*picture_remarks(picture, found.candidates.window), found.doubt]
-    if isinstance(found.psf, Microscope):
-        remarks.append(found.psf.remark_on_pixels(row.get("pixel_width_um")))
-    return " ".join(filter(None, remarks)) or None
-
-
 def _write(
-    task: PlaneTask, made: Mapping[str, NDArray[Any]], found: Measurement, picture: NDArray[Any]
+    task: PlaneTask,
+    made: Mapping[str, NDArray[Any]],
+    found: Measurement,
+    picture: NDArray[Any],
+    within: NDArray[Any] | None,
 ) -> None:
     contents = {}
     for target in task.targets:
@@ -343,6 +373,12 @@ def _write(
             contents[target.path] = _encoded(target.kind, made, found, picture, task.plan)
         else:
             target.writer.write_region((*task.index, ...), made[target.kind])
+    if task.thumbnail is not None:
+        known = made["confidence"] >= CONFIDENT
+        known &= True if within is None else within
+        task.thumbnail.parent.mkdir(parents=True, exist_ok=True)
+        limits = task.plan.intensity_range
+        contents |= small_pictures(task.thumbnail, picture, found.blur_map, known, limits)
     write_results(contents, force=True)
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -18,6 +19,7 @@ from napari_defocus.batch.folder import (
     distinct_names,
     identity,
 )
+from napari_defocus.batch.masks_beside import MaskSource
 from napari_defocus.batch.planes import (
     KINDS,
     BatchPlan,
@@ -30,6 +32,7 @@ from napari_defocus.batch.planes import (
     reason,
 )
 from napari_defocus.batch.table import DONE, Row, source_facts
+from napari_defocus.batch.thumbnails import remove_small_pictures
 from napari_defocus.core.intensity import needs_limits
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr, part_of
 from napari_defocus.io.open import Source
@@ -40,8 +43,8 @@ FileFormat = Literal["auto", "tiff", "ome-zarr"]
 LARGEST_IN_A_FILE = 64_000_000
 """px of the largest picture whose map becomes a TIFF if no format is asked for."""
 
-LARGEST_AT_ONCE = 4_000_000
-"""px of the largest plane that one task measures."""
+LARGEST_AT_ONCE = 2048 * 2048
+"""px of the largest plane that one task measures: that of many cameras on microscopes."""
 
 
 @dataclass(frozen=True)
@@ -57,19 +60,28 @@ class BatchInput:
     facts: Facts
     unchanged: bool
     change: str
+    mask: Path | None = None
 
 
-def compared_inputs(sources: list[Path], folder: BatchFolder, made_with: Facts) -> list[BatchInput]:
-    """Return sources with what has become of them since an earlier run."""
+def compared_inputs(
+    sources: list[Path],
+    folder: BatchFolder,
+    made_with: Facts,
+    masks: Mapping[Path, Path] | None = None,
+) -> list[BatchInput]:
+    """Return sources, and the masks of what counts, with what has become of them since a run."""
     digest = hashlib.sha256(json.dumps(made_with, sort_keys=True).encode()).hexdigest()[:16]
     inputs = []
     for given, name in zip(sources, distinct_names(sources), strict=True):
         facts = identity(given) | {"settings": digest}
+        mask = None if masks is None else masks[given]
+        if mask is not None:
+            facts["mask"] = identity(mask)
         before = folder.of_source(name).begun_with()
         # What other settings change, the plan of the batch tells.
         changes = differences((before or facts) | {"settings": digest}, facts)
         change = changes and f"of {given}, {changes}"
-        inputs.append(BatchInput(given, name, facts, before == facts, change))
+        inputs.append(BatchInput(given, name, facts, before == facts, change, mask))
     return inputs
 
 
@@ -124,6 +136,7 @@ class SourceWork:
     rows: dict[Index, Row]
     plane_px: int
     plan: BatchPlan
+    folder: BatchFolder
 
     @property
     def has_stores(self) -> bool:
@@ -158,17 +171,36 @@ class SourceWork:
                 plane=dask.optimize(source.plane(index))[0],
                 index=index,
                 known=self.known_of(index),
-                results=self.results,
+                results=self._results_of(index),
                 targets=self.targets,
                 row_path=self.notes.row_path(index),
                 plan=self.plan,
                 stack=self.input.given.absolute() if self._shares_a_range(source) else None,
                 lens_from=self.input.given.absolute() if self._shares_a_lens else None,
                 threshold_from=self.input.given.absolute() if self._shares_a_threshold else None,
+                within=self._within(source),
+                thumbnail=self.thumbnail_of(index),
             )
             for index in self.planes
             if index not in self.rows
         ]
+
+    def thumbnail_of(self, index: Index) -> Path | None:
+        """Return where the thumbnail of a plane is, if there are to be any."""
+        wanted = self.plan.thumbnails
+        return self.folder.thumbnail(self.input.name, index) if wanted else None
+
+    def _results_of(self, index: Index) -> dict[str, str]:
+        """Return what the row of a plane says of where its results are."""
+        thumbnail = self.thumbnail_of(index)
+        if thumbnail is None:
+            return self.results
+        place = thumbnail.relative_to(self.folder.path).as_posix()
+        return self.results | {"thumbnail": place}
+
+    def _within(self, source: Source) -> MaskSource | None:
+        mask = self.input.mask
+        return None if mask is None else MaskSource(mask.absolute(), source.plane_shape)
 
     @property
     def _shares_a_lens(self) -> bool:
@@ -245,6 +277,7 @@ def begin(
         },
         plane_px=height * width,
         plan=plan,
+        folder=folder,
     )
 
 
@@ -306,6 +339,8 @@ def _remove_results(folder: BatchFolder, name: str) -> None:
         store = _ending_in(place, ".ome.zarr")
         for path in (store, part_of(store)):
             shutil.rmtree(path, ignore_errors=True)
+    remove_small_pictures(folder.thumbnail(name, ()))
+    shutil.rmtree(folder.thumbnails / name, ignore_errors=True)
 
 
 def _remove_stores(notes: SourceNotes) -> None:

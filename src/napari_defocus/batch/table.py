@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.batch.blur_histogram import blur_histogram
 from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.psf.microscope import Microscope
@@ -38,8 +39,16 @@ _IN_UM = {
 }
 """Columns in um, of microscopes alone, by those in px."""
 
-RESULTS = ("map", "confidence", "mask", "in_focus")
+RESULTS = ("map", "confidence", "mask", "in_focus", "thumbnail")
 """Columns that say where results are; empty for those that were not asked for."""
+
+JUDGED = ("share_within_limit", "flags", "well")
+"""Columns that follow from the others, from limits and from names; see `judged_rows`."""
+
+BESIDE = ("blur_histogram", "link")
+"""What only the JSON lines have: pixels that are known in each bin of `blur_histogram`, and the
+path of the source from the folder of the table.
+"""
 
 LEFT = "share_left_as_it_was"
 """Column that says which share of a plane was not restored, as it would get rings."""
@@ -49,6 +58,7 @@ COLUMNS = (
     *_RADII.values(),
     *_IN_UM.values(),
     *("threshold_px", "share_in_focus", "median_confidence", "share_sure", LEFT, "careful"),
+    *("median_known_radius_px", "share_saturated", "one_direction", *JUDGED),
     "noise_variance",
     *("intensity_low", "intensity_high", "contrast"),
     *("pixel_width_um", "pixel_height_um"),
@@ -61,10 +71,11 @@ class PixelCounts:
     """How many pixels have which radius and which confidence; counts of parts can be added.
 
     Radii are rounded to 0.01 px and confidences to 0.001. Pixels with a confidence of 0.5 or more
-    are `sure`. Of these, so many are in focus.
+    are `sure`, and have `known_radii`. Of these, so many are in focus.
     """
 
     radii: NDArray[np.int64]
+    known_radii: NDArray[np.int64]
     confidences: NDArray[np.int64]
     in_focus: int
     sure: int
@@ -80,8 +91,10 @@ class PixelCounts:
     @classmethod
     def of_note(cls, note: Mapping[str, Any]) -> PixelCounts:
         """Return the counts of a `note`."""
-        radii, confidences = (np.array(note[key], np.int64) for key in ("radii", "confidences"))
-        return cls(radii, confidences, note["in_focus"], note["sure"])
+        radii, known, confidences = (
+            np.array(note[key], np.int64) for key in ("radii", "known_radii", "confidences")
+        )
+        return cls(radii, known, confidences, note["in_focus"], note["sure"])
 
     def facts(self) -> Row:
         """Return what a row says of them; None where no pixel counts."""
@@ -94,6 +107,8 @@ class PixelCounts:
             "share_in_focus": self.in_focus / self.sure if self.sure else None,
             "median_confidence": _percentile(self.confidences, 50, CONFIDENCE_STEP),
             "share_sure": self.sure / count if count else None,
+            "median_known_radius_px": _percentile(self.known_radii, 50, RADIUS_STEP),
+            "blur_histogram": blur_histogram(self.known_radii, RADIUS_STEP),
         }
 
 
@@ -104,12 +119,13 @@ def count_pixels(
     *,
     threshold: float,
     max_scale: float,
+    within: NDArray[Any] | None = None,
 ) -> PixelCounts:
     """Count the pixels of a map, or of a part of it, (H, W) in px.
 
     What is not finite, or has no confidence, such as where a picture is transparent, does not
-    count. In focus is only what is sure. Without a mask, radii up to `threshold` are; none is above
-    `max_scale`.
+    count, nor does what is 0 in `within`. In focus is only what is sure. Without a mask, radii up
+    to `threshold` are; none is above `max_scale`.
 
     Examples
     --------
@@ -119,12 +135,15 @@ def count_pixels(
     (0.5, 4.0)
     """
     counting = np.isfinite(blur_map) & (confidence > 0)
+    if within is not None:
+        counting &= within != 0
     radius, sure = blur_map[counting], confidence[counting]
     focused = radius <= threshold if mask is None else mask[counting] == 1
     known = sure >= CONFIDENT if mask is None else (sure >= CONFIDENT) & (mask[counting] != UNKNOWN)
     bins = math.ceil(max_scale / RADIUS_STEP) + 1
     return PixelCounts(
         _histogram(radius, RADIUS_STEP, bins),
+        _histogram(radius[known], RADIUS_STEP, bins),
         _histogram(sure, CONFIDENCE_STEP, round(1 / CONFIDENCE_STEP) + 1),
         int((focused & known).sum()),
         int(known.sum()),
@@ -170,11 +189,21 @@ def in_csv(rows: Iterable[Row]) -> bytes:
 
 
 def in_json_lines(rows: Iterable[Row]) -> bytes:
-    """Return rows as JSON objects of all `COLUMNS`, one a line; what is not known is null."""
-    objects = (dict(zip(COLUMNS, _cells(row), strict=True)) for row in rows)
+    """Return rows as JSON objects, one a line: `COLUMNS` and `BESIDE`; null if not known."""
+    objects = (
+        dict(zip(COLUMNS, _cells(row), strict=True)) | {name: row.get(name) for name in BESIDE}
+        for row in rows
+    )
     return "".join(f"{json.dumps(row, ensure_ascii=False)}\n" for row in objects).encode()
 
 
+def rounded(row: Row) -> Row:
+    """Return a row with its numbers as tables have them: to six digits."""
+    return {
+        name: float(f"{cell:.6g}") if isinstance(cell, float) else cell
+        for name, cell in row.items()
+    }
+
+
 def _cells(row: Row) -> list[Any]:
-    known = (row.get(column) for column in COLUMNS)
-    return [float(f"{cell:.6g}") if isinstance(cell, float) else cell for cell in known]
+    return [rounded(row).get(column) for column in COLUMNS]

@@ -17,10 +17,14 @@ import napari_defocus
 from napari_defocus.batch.folder import read_note, write_note
 from napari_defocus.batch.planes import BatchPlan, PlaneTask, Target, failed
 from napari_defocus.batch.table import DONE, LEFT, PixelCounts, Row, defocus_facts
+from napari_defocus.batch.tile_thumbnails import small_pictures_of_tiles, tile_sample
+from napari_defocus.core.picture_remarks import brightest_pixels
 from napari_defocus.core.progress import silent
+from napari_defocus.core.writing import write_results
 from napari_defocus.io.ome_zarr_writer import whole_tiles
 from napari_defocus.pipeline import measure_candidates
 from napari_defocus.psf import AUTO
+from napari_defocus.settings import CONFIDENT
 
 Region = tuple[slice, slice]
 
@@ -36,6 +40,7 @@ class TileNote:
     px: int
     counts: PixelCounts
     noise: Row
+    brightest: tuple[float, int, int]
     left: float | None = None
     """Share left as it was; None if it was not restored."""
 
@@ -49,6 +54,12 @@ class _TileTask:
     targets: tuple[Target, ...]
     note: Path
     plan: BatchPlan
+    plane_shape: tuple[int, int]
+
+    @property
+    def sample(self) -> Path:
+        """Where the pixels for the thumbnail are."""
+        return self.note.with_suffix(".npz")
 
 
 class TiledPlane:
@@ -98,16 +109,39 @@ class TiledPlane:
         facts |= defocus_facts(facts, self.task.plan.settings.map.family())
         row = known | {"status": DONE} | facts | self.notes[0].noise | self.task.results
         row[LEFT] = _share_left(self.notes)
+        row["share_saturated"] = self._share_saturated()
+        if not self._write_thumbnail():
+            row.pop("thumbnail", None)
         write_note(self.task.row_path, row)
         for tile in self._parts:
             tile.note.unlink(missing_ok=True)
+            tile.sample.unlink(missing_ok=True)
         return row
+
+    def _share_saturated(self) -> float | None:
+        most = max(note.brightest[0] for note in self.notes)
+        alike = sum(note.brightest[1] for note in self.notes if note.brightest[0] == most)
+        counted = sum(note.brightest[2] for note in self.notes)
+        return alike / counted if counted and alike < counted else None
+
+    def _write_thumbnail(self) -> bool:
+        """Write the small pictures; return whether an earlier run left what they need."""
+        thumbnail, samples = self.task.thumbnail, [tile.sample for tile in self._parts]
+        if thumbnail is None or not all(sample.exists() for sample in samples):
+            return False
+        parts = (sample.read_bytes() for sample in samples)
+        limits = self.task.plan.intensity_range
+        thumbnail.parent.mkdir(parents=True, exist_ok=True)
+        contents = small_pictures_of_tiles(thumbnail, self._plane, parts, limits)
+        write_results(contents, force=True)
+        return True
 
     def _part(self, region: Region) -> _TileTask:
         task, (rows, columns) = self.task, region
         name = f"{task.row_path.stem}-at-{rows.start}-{columns.start}.json"
         note = task.row_path.with_name(name)
-        return _TileTask(region, task.index, task.targets, note, task.plan)
+        shape = task.plane.shape[:2]
+        return _TileTask(region, task.index, task.targets, note, task.plan, shape)
 
     def _measured(self) -> tuple[dict[str, Any], Any, Any]:
         """Return dask arrays of all that is wanted, the noise, delayed, and the threshold."""
@@ -124,8 +158,12 @@ class TiledPlane:
             risk=None if restoration is None else restoration.risk,
             mask=plan.settings.mask if "mask" in plan.kinds else None,
         )
-        threshold = self._threshold(lazy)
-        found = lazy.measure(asked, threshold=threshold)
+        within = self._within()
+        threshold = self._threshold(lazy, within)
+        found = lazy.measure(asked, within=within, threshold=threshold)
+        found["picture"] = plane
+        if within is not None:
+            found["within"] = within
         if restoration is not None:
             noise = restoration.noise_variance
             how = plan.restoration(lazy.psf, settings.noise_variance if noise is None else noise)
@@ -140,13 +178,18 @@ class TiledPlane:
             found[LEFT] = fit.left_as_it_was
         return found, lazy.noise(()), threshold
 
-    def _threshold(self, lazy: Any) -> Any:
+    def _within(self) -> Any:
+        """Return the mask of what counts, a dask array, if there is one."""
+        task = self.task
+        return task.within and task.within.lazy_plane(task.plane.shape, task.index)
+
+    def _threshold(self, lazy: Any, within: Any) -> Any:
         """Return the threshold of masks: as given, that of the stack, or of the plane, delayed."""
         threshold = self.task.plan.settings.mask.threshold
         if threshold != AUTO:
             return threshold
         task = self.task
-        return lazy.threshold() if task.threshold_from is None else task.threshold_of_stack()
+        return lazy.threshold(within) if task.threshold_from is None else task.threshold_of_stack()
 
 
 def _px(region: Region) -> int:
@@ -158,7 +201,8 @@ def _finished(tile: _TileTask) -> TileNote | None:
     if known is None or not all(t.has((*tile.index, *tile.region)) for t in tile.targets):
         return None
     counts = PixelCounts.of_note(known["counts"])
-    return TileNote(_px(tile.region), counts, known["noise"], known.get(LEFT))
+    brightest = tuple(known["brightest"])
+    return TileNote(_px(tile.region), counts, known["noise"], brightest, known.get(LEFT))
 
 
 def _write(
@@ -166,17 +210,31 @@ def _write(
 ) -> TileNote:
     """Write what was found of a tile, note that it is finished, and return the note."""
     plan, confidence = tile.plan, found["confidence"]
-    counts = plan.counts(found["blur_map"], confidence, found.get("mask"), threshold)
+    of_counts = (found.get("mask"), threshold, found.get("within"))
+    counts = plan.counts(found["blur_map"], confidence, *of_counts)
     untrusted = confidence < plan.min_confidence
     made = found | {"map": np.where(untrusted, np.float32(np.nan), found["blur_map"])}
     for target in tile.targets:
         assert target.writer is not None
         target.writer.write_region((*tile.index, *tile.region, ...), made[target.kind])
-    known = {"noise_variance": float(noise.known), "threshold_px": threshold}
-    known |= noise.intensities.facts()
+    # A plane of one tile keeps its noise and its intensities to itself.
+    variance = None if noise.known is None else float(noise.known)
+    known = {"noise_variance": variance, "threshold_px": threshold}
+    known |= {} if noise.intensities is None else noise.intensities.facts()
+    brightest = brightest_pixels(found["picture"])
+    if plan.thumbnails:
+        write_results({tile.sample: _sample(tile, found)}, force=True)
     left = float(found[LEFT].mean()) if LEFT in found else None
-    write_note(tile.note, {"counts": counts.note(), "noise": known, LEFT: left})
-    return TileNote(_px(tile.region), counts, known, left)
+    note = {"counts": counts.note(), "noise": known, "brightest": brightest, LEFT: left}
+    write_note(tile.note, note)
+    return TileNote(_px(tile.region), counts, known, brightest, left)
+
+
+def _sample(tile: _TileTask, found: dict[str, NDArray[Any]]) -> bytes:
+    known = found["confidence"] >= CONFIDENT
+    if "within" in found:
+        known &= found["within"] != 0
+    return tile_sample(tile.region, tile.plane_shape, found["picture"], found["blur_map"], known)
 
 
 def _share_left(notes: list[TileNote]) -> float | None:

@@ -16,6 +16,7 @@ from napari_defocus.cli.depth import depth
 from napari_defocus.cli.explain import explain
 from napari_defocus.cli.lens import calibrate, compare
 from napari_defocus.cli.map import map_picture
+from napari_defocus.cli.report import report
 from napari_defocus.cli.restore import refocus, restore
 from napari_defocus.cli.sample import demonstrate, sample
 from napari_defocus.cli.segment import segment_picture
@@ -70,6 +71,7 @@ for _name, _command in {
     "restore": restore,
     "refocus": refocus,
     "batch": batch,
+    "report": report,
     "depth": depth,
     "explain": explain,
     "sharpest": sharpest,

@@ -12,7 +12,12 @@ import typer
 import napari_defocus
 from napari_defocus.cli.command import Facts, command
 from napari_defocus.cli.console import complain
-from napari_defocus.cli.option_groups import MapOptions, RestorationOptions, said_threshold
+from napari_defocus.cli.option_groups import (
+    LimitOptions,
+    MapOptions,
+    RestorationOptions,
+    said_threshold,
+)
 from napari_defocus.core.checks import Unknown
 from napari_defocus.core.progress import Progress
 from napari_defocus.settings import BLOCK_SIZE, MaskSettings
@@ -29,8 +34,12 @@ def _lines(facts: Facts) -> Iterator[str]:
         yield f"left out     {told_left_out(facts['left_out'])}"
     if facts["doubtful"]:
         yield f"careful      {facts['doubtful']} may tell little of their blur; the table says why"
+    if facts["flagged"]:
+        yield f"flagged      {facts['flagged']}: the report and the table say why"
     yield f"time         {facts['seconds']:.1f} s"
     yield f"wrote        {facts['table']}"
+    if facts["report"]:
+        yield f"wrote        {facts['report']}"
 
 
 def _end(facts: Facts) -> None:
@@ -47,7 +56,8 @@ def _end(facts: Facts) -> None:
         .scn, .qptiff, .lsm, .stk and the like, OME-Zarr), folders of them, and patterns such as
         'photos/**/*.tif'. Results of napari-defocus are left out of folders and patterns.
     output -o FOLDER
-        Where to write: table.csv and table.jsonl, and the folder maps. It is made if missing.
+        Where to write: report.html, table.csv and table.jsonl, and the folders thumbnails and
+        maps. It is made if missing.
         Started again with the same folder, the batch goes on where it was ended.
     confidence
         Also write how sure each map is: NAME-confidence.
@@ -55,6 +65,12 @@ def _end(facts: Facts) -> None:
         Also write what is in focus: NAME-mask.
     restore
         Also write each picture all in focus: NAME-in-focus.
+    within PATH
+        A folder of masks or labels with the names of the pictures (.png, .tif), or one mask for
+        all: only where it is not 0 is anything counted.
+    report --report/--no-report
+        Write report.html: all fields, worst first, with thumbnails, and the plate if names say
+        wells such as A01.
     file_format --format
         The format of the results. auto: TIFF (PNG for masks and restored pictures) for single
         pictures of up to 64 megapixels, OME-Zarr for stacks and larger ones.
@@ -84,6 +100,9 @@ def batch(
     confidence: bool = False,
     mask: bool = False,
     restore: bool = False,
+    within: Path | None = None,
+    report: bool = True,
+    flagging: LimitOptions,
     file_format: Literal["auto", "tiff", "ome-zarr"] = "auto",
     block_size: int = BLOCK_SIZE,
     scheduler: str | None = None,
@@ -103,9 +122,13 @@ def batch(
     measured is a row of the table that says why, and the exit code is then 1.
     """
     from napari_defocus.batch.cluster import dask_client
+    from napari_defocus.batch.masks_beside import masks_of
     from napari_defocus.io.open import find_sources
 
     pictures = find_sources(inputs)  # what is not there is told before workers start
+    if within is not None:
+        masks_of(pictures, within)
+    limits = flagging.limits()
     restoration, map_settings = restoring.settings(), measuring.settings(*pictures)
     mask_settings = _mask_settings(settings_file, threshold, unknown)
     settings = napari_defocus.Settings(
@@ -113,7 +136,7 @@ def batch(
     )
     try:
         with dask_client(scheduler, workers=workers) as client:
-            report = napari_defocus.measure_batch(
+            done = napari_defocus.measure_batch(
                 inputs,
                 output,
                 settings=settings,
@@ -122,6 +145,9 @@ def batch(
                 restore=restore,
                 min_confidence=min_confidence,
                 intensity_range=measuring.intensity_range,
+                within=within,
+                limits=limits,
+                report=report,
                 file_format=file_format,
                 block_size=block_size,
                 force=force,
@@ -132,11 +158,13 @@ def batch(
         interruption.add_note("what is finished stays; the same command goes on from there")
         raise
     return {
-        "table": str(report.table),
-        "planes": report.planes,
-        "failed": report.failed,
-        "left_out": report.left_out,
-        "doubtful": report.doubtful,
+        "table": str(done.table),
+        "report": done.report and str(done.report),
+        "planes": done.planes,
+        "failed": done.failed,
+        "left_out": done.left_out,
+        "doubtful": done.doubtful,
+        "flagged": done.flagged,
     }
 
 

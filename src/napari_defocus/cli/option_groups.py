@@ -18,7 +18,7 @@ from napari_defocus.cli.options import SHARED, Entry, entries_in, shown
 from napari_defocus.core.checks import Linearize, Mode
 from napari_defocus.core.progress import Progress
 from napari_defocus.pipeline import Measurement, find_blur
-from napari_defocus.settings import MapSettings, RestorationSettings
+from napari_defocus.settings import FieldLimits, MapSettings, RestorationSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -125,6 +125,21 @@ class RestorationOptions(OptionGroup):
     def settings(self) -> RestorationSettings:
         """Return the settings that are asked for, checked."""
         return RestorationSettings(tv_weight=self.tv_weight, risk=self.risk)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitOptions(OptionGroup):
+    """Which fields of a batch are flagged."""
+
+    in_focus_up_to: float = FieldLimits.in_focus_up_to
+    min_share_in_focus: float = FieldLimits.min_share_in_focus
+    min_share_known: float = FieldLimits.min_share_known
+    max_share_saturated: float = FieldLimits.max_share_saturated
+    max_one_direction: float = FieldLimits.max_one_direction
+
+    def limits(self) -> FieldLimits:
+        """Return the limits that are asked for, checked."""
+        return FieldLimits(**vars(self))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -149,6 +149,18 @@ pixel_pitch UM
 side
     Where the blurred things are: beyond the plane in focus (far) or before it (near). One picture
     cannot tell.
+in_focus_up_to PX
+    Largest blur radius, in px, that the report counts as in focus. A field whose median is above it
+    is flagged as out of focus.
+min_share_in_focus SHARE
+    A field is flagged as partly out of focus if less of what is known is in focus, from 0 to 1.
+min_share_known SHARE
+    A field is flagged as empty if the blur of less of it is known.
+max_share_saturated SHARE
+    A field is flagged as saturated if more of its pixels are as bright as can be.
+max_one_direction NUMBER
+    A field is flagged as not defocus if its details agree more in one direction, as after motion:
+    0 is not at all, 1 is all in one. For cells and tissue, 0.6 finds more than the default.
 settings_file --settings PATH
     A file that --save-settings wrote (.json), or that you edited. Options that you give here count
     more than the file.

@@ -19,7 +19,7 @@ _LOOKED_AT = 200_000
 _FEW = 8
 """Different values: grey pictures have more. Chosen by hand."""
 
-_SATURATED = 0.05
+SATURATED = 0.05
 """Share of pixels. In 17 photographs with skies and lamps it is 0.03 or less."""
 
 
@@ -54,18 +54,78 @@ def _of_size(picture: NDArray[Any], window: int) -> Iterator[str]:
         )
 
 
-def _of_values(picture: NDArray[Any]) -> Iterator[str]:
+def saturation_remark(share: float) -> str:
+    """Return the sentence about a share of pixels that are saturated."""
+    return (
+        f"{100 * share:.0f} % of the pixels are saturated (as bright as the picture can be), so "
+        "there is no blur to see there."
+    )
+
+
+def share_saturated(picture: NDArray[Any]) -> float | None:
+    """Return the share of the known pixels that are as bright as the brightest of all.
+
+    All colours of such a pixel are. None where no pixel is known, or all have the same value.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) or (H, W, 4) ndarray
+
+    Examples
+    --------
+    >>> share_saturated(np.array([[1, 4, 4, 2]] * 2))
+    0.5
+    """
+    values = _known_colors(picture)
+    if not len(values) or (values == values[0]).all():
+        return None
+    return _saturated(values)
+
+
+def brightest_pixels(picture: NDArray[Any]) -> tuple[float, int, int]:
+    """Return the brightest known value of a part of a picture, its pixels, and all known ones.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) or (H, W, 4) ndarray
+
+    Examples
+    --------
+    >>> brightest_pixels(np.array([[1, 4, 4, 2]] * 2))
+    (4.0, 4, 8)
+    """
+    values = _known_colors(picture)
+    if not len(values):
+        return -np.inf, 0, 0
+    most = values.max()
+    return float(most), int((values == most).all(axis=1).sum()), len(values)
+
+
+def _known_colors(picture: NDArray[Any]) -> NDArray[Any]:
+    """Return the colours of the known pixels, (N, C)."""
     colors = np.ma.getdata(picture)
     colors = colors[..., :3] if colors.ndim == 3 else colors[..., None]
     known = known_pixels(picture)
-    values = colors.reshape(-1, colors.shape[-1]) if known is None else colors[known]
+    return colors.reshape(-1, colors.shape[-1]) if known is None else colors[known]
+
+
+def _some_of(values: NDArray[Any]) -> NDArray[Any]:
+    return values[:: max(1, len(values) // _LOOKED_AT)]
+
+
+def _saturated(values: NDArray[Any]) -> float:
+    return float((_some_of(values) == values.max()).all(axis=1).mean())
+
+
+def _of_values(picture: NDArray[Any]) -> Iterator[str]:
+    values = _known_colors(picture)
     if not len(values):
         yield "No pixel is known: all are transparent, NaN or masked."
         return
     if (values == values[0]).all():
         yield "All pixels have the same value, so there is no blur to see."
         return
-    some = values[:: max(1, len(values) // _LOOKED_AT)]
+    some = _some_of(values)
     different = len(np.unique(some))
     if different <= _FEW:
         yield (
@@ -73,9 +133,6 @@ def _of_values(picture: NDArray[Any]) -> Iterator[str]:
             "measured on photographs and micrographs."
         )
         return
-    saturated = float((some == values.max()).all(axis=1).mean())
-    if saturated > _SATURATED:
-        yield (
-            f"{100 * saturated:.0f} % of the pixels are saturated (as bright as the picture can "
-            "be), so there is no blur to see there."
-        )
+    saturated = _saturated(values)
+    if saturated > SATURATED:
+        yield saturation_remark(saturated)

@@ -19,6 +19,8 @@ from napari_defocus.io.pictures import PNG_START, TIFF_STARTS
 
 SOFTWARE = "napari-defocus"
 
+_JPEG_START = b"\xff\xd8\xff"
+
 ALL_IN_FOCUS, REFOCUSED = "all-in-focus picture", "refocused picture"
 SHARPEST_PIXELS = "picture of the sharpest pixels"
 
@@ -57,6 +59,9 @@ def mark_of(path: str | os.PathLike[str]) -> dict[str, Any]:
         if start == PNG_START:
             with Image.open(place, formats=("PNG",)) as image:
                 return said_by(image.info.get("Description", ""))
+        if start.startswith(_JPEG_START):
+            with Image.open(place, formats=("JPEG",)) as image:
+                return said_by(image.info.get("comment", b"").decode())
         if start.startswith(TIFF_STARTS):
             return mark_in_tiff(place)
     return {}

@@ -54,6 +54,12 @@ _NEVER = 1e12
 _ROUNDS = 10
 """Of message passing to and fro before a cut: speed only, the cut is the same."""
 
+_NEGLIGIBLE = 3e-5
+"""If leaving all nodes as they are, or giving all one side, costs no more above the best cut than
+this share of what is at stake, that is taken: rounding has 1e-5. Where there is no texture, what is
+left takes long to cut: a map of 800 x 800 px of noise took 48 s, and takes 2.
+"""
+
 _SHARE = np.float32(0.25)
 """The share of a node's cost that each neighbour gets: a node has 4 edges on either side."""
 
@@ -437,12 +443,31 @@ def fuse(
     if not len(place):
         return labels
     cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
+    at_stake = np.abs(cost).sum()
     forth, back = _flow(cost, tail, head, capacity)
-    upper = _sink_side(cost, tail, head, forth, back)
     now, new = labels.ravel()[place], proposal.ravel()[place]
+    for upper in (now > new, np.zeros(len(cost), bool), np.ones(len(cost), bool)):
+        if _most_gained(upper, cost, tail, head, forth, back) <= _NEGLIGIBLE * at_stake:
+            break
+    else:
+        upper = _sink_side(cost, tail, head, forth, back)
     fused = labels.copy()
     fused.ravel()[place] = np.where(upper, np.maximum(now, new), np.minimum(now, new))
     return fused
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _most_gained(
+    upper: Mask, cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64
+) -> float:
+    """Return how far the cost of a cut is above all that any cut may cost less."""
+    gain = 0.0
+    for node in range(len(cost)):
+        gain += max(cost[node], 0.0) if upper[node] else max(-cost[node], 0.0)
+    for edge in range(len(tail)):
+        if upper[tail[edge]] != upper[head[edge]]:
+            gain += forth[edge] if upper[head[edge]] else back[edge]
+    return gain
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -111,9 +111,37 @@ def doubt_of(strength: Float32 | None, direction: Float32 | None) -> str | None:
         return None
     if np.quantile(strength, _MOST) < _WEAK:
         return NOTHING_SEEN
-    strong = direction[strength >= _STRONG].astype(np.float64)
-    if not len(strong):
+    mean = _mean_direction(strength, direction)
+    if mean is None:
         return None
-    mean = strong.mean(axis=0)
+    strong = direction[strength >= _STRONG].astype(np.float64)
     along = strong @ mean / max(float(np.hypot(*mean)), 1e-9)
     return ONE_DIRECTION if np.quantile(along, _EXCEPTIONS) > _ONE_WAY else None
+
+
+def one_direction(strength: Float32 | None, direction: Float32 | None) -> float | None:
+    """Return how far the windows of a picture agree in one direction: |mean d| / mean |d|.
+
+    It is from 0 to 1. Cells and tissue have 0.02 to 0.5, and 0.7 to 0.98 after motion of 20 px;
+    photographs have 0.2 to 0.6, but up to 0.9 where things lie side by side, such as stalks,
+    bricks and brushes. None where no window is strong.
+
+    Parameters
+    ----------
+    strength : (R, C) float32 ndarray or None
+    direction : (R, C, 2) float32 ndarray or None
+        See `BlurCandidates`; None tells nothing.
+    """
+    if strength is None or direction is None:
+        return None
+    mean = _mean_direction(strength, direction)
+    if mean is None:
+        return None
+    strong = direction[strength >= _STRONG].astype(np.float64)
+    return float(np.hypot(*mean) / max(np.hypot(strong[:, 0], strong[:, 1]).mean(), 1e-9))
+
+
+def _mean_direction(strength: Float32, direction: Float32) -> NDArray[np.float64] | None:
+    """Return the mean of d over strong windows, (2,)."""
+    strong = direction[strength >= _STRONG].astype(np.float64)
+    return strong.mean(axis=0) if len(strong) else None

@@ -1,0 +1,38 @@
+"""The terminal command that writes the report of a batch anew, by other limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import napari_defocus
+from napari_defocus.cli.command import Facts, command
+from napari_defocus.cli.option_groups import LimitOptions
+from napari_defocus.core.progress import Progress
+
+
+def _lines(facts: Facts) -> Iterator[str]:
+    yield f"flagged      {facts['flagged']} of {facts['planes']}"
+    yield f"time         {facts['seconds']:.1f} s"
+    yield f"wrote        {facts['report']}"
+
+
+@command(
+    _lines,
+    """
+    folder FOLDER
+        What batch wrote into. Its report.html, and the flags in its tables, are written anew.
+    """,
+)
+def report(folder: Path, *, flagging: LimitOptions, progress: Progress) -> dict[str, Any]:
+    """Write the report of a batch anew, by other limits; nothing is measured."""
+    limits = flagging.limits()
+    written = napari_defocus.write_report(folder, limits=limits)
+    return {
+        "report": str(written.report),
+        "planes": written.planes,
+        "flagged": written.flagged,
+        "limits": asdict(limits),
+    }
