@@ -5,7 +5,7 @@
 STACKS.npz holds stacks, (Z, H, W, 3) uint16, by name; one whose name ends in "+move" has moved, and
 programs that do not find that out are told so. OUT.npz holds the composites. The seconds of each
 call and the largest memory of the process are printed as JSON. A peer that is not installed is left
-out of PEERS.
+out of PEERS. focusstacker is none of them: it takes and writes JPEG alone.
 """
 
 import contextlib
@@ -94,15 +94,6 @@ def focusweave(stack: np.ndarray, moved: bool) -> np.ndarray:
     return run(FocusStackConfig(images=list(stack), keep_size=True, **moves)).image
 
 
-def focusstacker(stack: np.ndarray, moved: bool) -> np.ndarray:
-    from focusstacker import stack_images
-
-    with tempfile.TemporaryDirectory() as folder:
-        files, made = written(folder, stack), Path(folder, "made.tif")
-        stack_images(files, made)
-        return scaled(tifffile.imread(made))
-
-
 def openfocus(method: str) -> Callable[[np.ndarray, bool], np.ndarray]:
     """Return a method of OpenFocus, through its command: files of 16 bits in and out.
 
@@ -151,8 +142,6 @@ PEERS: dict[str, Callable[[np.ndarray, bool], np.ndarray]] = {
 }
 if find_spec("focusweave"):
     PEERS["focusweave"] = focusweave
-if find_spec("focusstacker"):
-    PEERS["focusstacker"] = focusstacker
 if find_spec("fusion_methods"):
     PEERS |= {name: openfocus(method) for name, method in _OPENFOCUS.items()}
     if find_spec("torch"):

@@ -115,6 +115,7 @@ def parsed_arguments() -> argparse.Namespace:
     parser.add_argument("--every", type=int, default=2, help="take every n-th picture")
     parser.add_argument("--moving", action="store_true", help="stacks that drift and flicker")
     parser.add_argument("--peers", action="store_true", help="composites of other programs")
+    parser.add_argument("--only", nargs="+", help="some of the programs of --peers")
     parser.add_argument("--fit", action="store_true", help="find the constants first")
     parser.add_argument("--look", type=Path, help="folder for PNGs of positions and composites")
     return parser.parse_args()
