@@ -21,6 +21,7 @@ os.environ.pop("PYTHONPATH", None)
 
 ROOT = Path(__file__).parent
 DISTRIBUTIONS = ROOT / "build" / "distributions"
+EXTRAS = "napari", "large", "heic", "raw", "microscopes", "slides", "matting"
 PYTHONS = nox.project.python_versions(nox.project.load_toml(ROOT / "pyproject.toml"))
 
 LARGEST = {".whl": 1_500_000, ".gz": 2_500_000}
@@ -65,7 +66,7 @@ def types(session):
 @nox.session(tags=["package"], requires=["build"])
 def tests(session):
     """Run the tests where only the wheel is installed."""
-    session.install(f"{wheel()}[napari,large,heic,raw,matting]", "--group", "test")
+    session.install(f"{wheel()}[{','.join(EXTRAS)}]", "--group", "test")
     run_tests(session)
 
 
@@ -82,7 +83,7 @@ def matrix(session, resolution):
     """Run the tests on each Python, with the lowest and the newest versions of everything."""
     # pyproject.toml beside the wheel, so that what the package asks for counts as direct.
     asked = ["--requirements", "pyproject.toml"]
-    for extra in ("napari", "large", "heic", "raw", "matting"):
+    for extra in EXTRAS:
         asked += ["--extra", extra]
     session.install(wheel(), *asked, "--group", "test", "--resolution", resolution)
     if resolution == "lowest-direct":

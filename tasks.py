@@ -31,9 +31,11 @@ OLDEST_PIP = (25, 1)  # the first one that knows --group
 LINES_APART = 10.0
 """Seconds between two lines about pip, where they do not replace each other."""
 
+EXTRAS = "napari,large,heic,raw,microscopes,slides,matting"
+
 PACKAGES_OF = {
     "demo": ["-e", "."],
-    "development": ["-e", ".[napari,large,heic,raw,matting]", "--group", "test", "--group", "lint"],
+    "development": ["-e", f".[{EXTRAS}]", "--group", "test", "--group", "lint"],
     "docs": ["-e", ".[large]", "--group", "docs"],
     "release": ["--group", "release"],
 }

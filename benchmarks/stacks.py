@@ -2,6 +2,7 @@
 
     python benchmarks/stacks.py --data FOLDER_OF_SHARP_PICTURES [--fit] [--look FOLDER]
     python benchmarks/stacks.py --moving
+    python benchmarks/stacks.py --peers [--look FOLDER]
 
 A sharp picture, seen in planes whose focus moves by equal steps: the radius of plane z is
 k |z - z0(x, y)| px, up to 16 px, with white noise in each channel. z0 is slanted, curved (hills
@@ -24,6 +25,8 @@ highlights: the PSNR of the composite, after one factor of brightness and withou
 16 px, beside that of the stack which does none of it, with the same noise; by how many px the
 alignment is off at most, and by which part the gains; and how many pixels lie in islands, over 1.5
 planes off the median of 41 x 41 px where the true position is not.
+
+With --peers, the composites of other programs on such stacks (`stack_conditions`, `stack_peers`).
 """
 
 import argparse
@@ -40,6 +43,7 @@ from pictures import picture_paths, sharp_pictures
 from scipy.ndimage import gaussian_filter, laplace, median_filter, uniform_filter
 from scipy.optimize import minimize
 from skimage.util import img_as_float
+from stack_conditions import report_peers
 
 from napari_defocus import Disc, SharpestPlane, sharpest_plane, simulate_defocus
 from napari_defocus.core.image import LUMA_WEIGHTS
@@ -70,6 +74,9 @@ def main() -> None:
     arguments = parsed_arguments()
     if arguments.moving:
         report_moving(arguments)
+        return
+    if arguments.peers:
+        report_peers(arguments)
         return
     pictures = {
         name: np.asarray(picture / (255 if picture.dtype == np.uint8 else 1), np.float32)
@@ -107,6 +114,8 @@ def parsed_arguments() -> argparse.Namespace:
     parser.add_argument("--px-per-plane", type=float, nargs="+", default=list(PLANES))
     parser.add_argument("--every", type=int, default=2, help="take every n-th picture")
     parser.add_argument("--moving", action="store_true", help="stacks that drift and flicker")
+    parser.add_argument("--peers", action="store_true", help="composites of other programs")
+    parser.add_argument("--only", nargs="+", help="some of the programs of --peers")
     parser.add_argument("--fit", action="store_true", help="find the constants first")
     parser.add_argument("--look", type=Path, help="folder for PNGs of positions and composites")
     return parser.parse_args()

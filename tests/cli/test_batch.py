@@ -37,11 +37,11 @@ def run_batch(address, *arguments):
 
 
 def test_workers_of_a_scheduler_write_what_this_process_does(pictures, address):
-    for name in ("notes.txt", "more.txt", "scan.czi"):
+    for name in ("notes.txt", "more.txt", "scan.oib"):
         (pictures / name).touch()
     result = run_batch(address, "--confidence", "--mask")
     assert result.exit_code == 0, result.output
-    assert "2 of 2 measured\nleft out     2 .txt, 1 .czi\n" in result.stdout
+    assert "2 of 2 measured\nleft out     2 .txt, 1 .oib\n" in result.stdout
     assert "careful" not in result.stdout
     assert result.stderr == ""
     wanted = {"confidence": True, "mask": True}

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from napari_defocus.io import camera_files
+from napari_defocus.core import extras
 from napari_defocus.io.file_kinds import is_raw
 from napari_defocus.io.open import open_source
 from napari_defocus.io.pictures import UnreadablePicture, read_picture
@@ -35,7 +35,7 @@ def neither_installed(monkeypatch):
     def missing(name):
         raise ImportError(name)
 
-    monkeypatch.setattr(camera_files, "import_module", missing)
+    monkeypatch.setattr(extras, "import_module", missing)
 
 
 def refusal_of(path):
@@ -57,7 +57,7 @@ def refusal_of(path):
         (AVIF, "an AVIF picture"),
         (VIDEO, "a video"),
         (b"RIFF\0\0\0\0AVI LIST", "a video"),
-        (b"ZISRAWFILE\0\0", "OME-TIFF or OME-Zarr"),
+        (b"\x89HDF\r\n", "OME-TIFF or OME-Zarr with Fiji or bioformats2raw first"),
         (bytes(128) + b"DICM", "a DICOM file"),
         (b'<?xml version="1.0"?><svg/>', "an XML or SVG file"),
         ("Grüße\n".encode() * 400, "a text file; PNG, JPEG, TIFF, WebP, BMP and GIF"),

@@ -61,16 +61,16 @@ def test_folder_of_photos_is_the_photos_and_says_what_else_is_there(everything, 
 def test_batch_measures_the_photos_and_reports_what_else_is_there(everything, tmp_path):
     photos = tmp_path / "photos"
     shutil.copytree(everything, photos)
-    for name in ("a.txt", "b.TXT", "scan.czi", "README", ".hidden.txt"):
+    for name in ("a.txt", "b.TXT", "scan.oib", "README", ".hidden.txt"):
         (photos / name).touch()
     (photos / "deeper").mkdir()
-    left = {"result": 11, ".txt": 2, ".czi": 1, "folder": 1, "no ending": 1}
+    left = {"result": 11, ".txt": 2, ".oib": 1, "folder": 1, "no ending": 1}
     settings = Settings(map=MapSettings(stride=8))
     for _ in range(2):
         report = measure_batch(photos, photos / "measured", settings=settings)
         assert (report.planes, report.failed, report.left_out) == (1, 0, left)
     assert names_in(photos / "measured" / "maps") == ["photo-blur.tif"]
-    told = "11 results of napari-defocus, 2 .txt, 1 .czi, 1 folder, 1 without an ending"
+    told = "11 results of napari-defocus, 2 .txt, 1 .oib, 1 folder, 1 without an ending"
     assert told_left_out(report.left_out) == told
 
 

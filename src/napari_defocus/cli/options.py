@@ -68,8 +68,9 @@ def shown(
 
 SHARED = entries_in("""
 image IMAGE
-    PNG, JPEG, TIFF, WebP, BMP or GIF; HEIC and raw files with the extras heic and raw. Of a slide
-    (.svs, .ndpi, .scn, .qptiff and the like), the largest level is read.
+    PNG, JPEG, TIFF, WebP, BMP or GIF; HEIC and raw files with the extras heic and raw; CZI, ND2 and
+    LIF of one plane with the extra microscopes. Of a slide (.svs, .ndpi, .scn, .qptiff; .mrxs and
+    .vms with the extra slides), the largest level is read.
 psf TEXT
     The shape that the lens makes of a point: disc, polygon:BLADES[:ROTATION], annulus:OBSTRUCTION,
     gaussian, generalized-gaussian:EXPONENT, microscope, or the .npz file that calibrate wrote. auto
@@ -77,7 +78,7 @@ psf TEXT
     microscope:NA:WAVELENGTH:PIXEL:INDEX in um, and tells the defocus in um, too.
 numerical_aperture NA
     Numerical aperture of a microscope's objective. What is not given of the microscope is read from
-    IMAGE (OME-TIFF, OME-Zarr).
+    IMAGE (OME-TIFF, OME-Zarr, CZI, ND2, LIF).
 wavelength UM
     Wavelength of the light in um: 0.52 for green. In fluorescence, that of emission.
 immersion NAME|INDEX

@@ -32,9 +32,10 @@ def _lines(facts: Facts) -> Iterator[str]:
     yield f"stack        {facts['image']}, {facts['planes']} planes of {size}"
     if facts["pictures"]:
         yield f"pictures     from {facts['pictures'][0]} to {facts['pictures'][-1]}"
-    for name in ("channel", "time"):
+    for name in ("scene", "channel", "time"):
         if facts[name] is not None:
-            yield f"{name:<12} {facts[name]} (from 0)"
+            called = facts["channel_name"] if name == "channel" else ""
+            yield f"{name:<12} {facts[name]} (from 0)" + (f", {called}" if called else "")
     if facts["focus_note"]:
         yield f"focus        {facts['focus_note']}"
     yield from intensity_lines(facts)
@@ -64,8 +65,11 @@ def _sharpest_planes(shares: Sequence[float]) -> str:
     """
     stack STACK...
         Planes of one scene at equal steps of the focus: a TIFF stack (also OME-TIFF, .lsm, .stk),
-        OME-Zarr, a folder of pictures, or several pictures. Pictures are planes in the natural
-        order of their names: slice2 comes before slice10.
+        OME-Zarr, CZI, ND2 and LIF with the extra microscopes, a folder of pictures, or several
+        pictures. Pictures are planes in the natural order of their names: slice2 comes before
+        slice10.
+    scene NUMBER
+        Which scene of a CZI, ND2 or LIF file to take, from 0; needed if STACK has several.
     channel NUMBER
         Which channel to take, from 0; needed if STACK has several. Channels are never taken for
         planes.
@@ -112,6 +116,7 @@ def _sharpest_planes(shares: Sequence[float]) -> str:
 def sharpest(
     stack: list[Path],
     *,
+    scene: int | None = None,
     channel: int | None = None,
     time: int | None = None,
     px_per_plane: float | None = None,
@@ -159,7 +164,7 @@ def sharpest(
     if save_alignment is not None:
         check_endings([save_alignment], ".json")
     given = _given_alignment(use_alignment, align)
-    source = open_stack(stack)
+    source = open_stack(stack, scene)
     if all_channels is not None and "c" not in source.axes:
         raise ValueError(f"--all-channels: {source.path} has no channels")
     wanted = (output or _usual_output(source), position, confidence, height)
@@ -191,11 +196,12 @@ def sharpest(
         progress=within(progress, 0.0, 0.7 if all_channels else 1.0),
         **shaping,
     )
-    facts = _facts(source, found, outputs) | {"channel": channel, "time": time}
+    facts = _facts(source, found, outputs) | {"scene": scene, "channel": channel, "time": time}
+    facts["channel_name"] = source.channel_names[channel or 0] if source.channel_names else ""
     facts |= {"focus_axis": focus.letter, "focus_note": focus.note}
     facts |= _height_facts(found, step)
     told = facts | {"psf": psf, "smoothness": smoothness}
-    names = ("image", "channel", "time", "psf", "smoothness", "px_per_plane")
+    names = ("image", "scene", "channel", "time", "psf", "smoothness", "px_per_plane")
     _write(wanted, source, found, {name: told[name] for name in names}, force, step)
     if all_channels is not None:
         at = {"time": time, "blend": composite == "blended", "psf": family}

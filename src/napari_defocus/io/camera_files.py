@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from napari_defocus.core.extras import extra_package
 from napari_defocus.core.writing import in_one_line
 
 
@@ -19,7 +19,7 @@ def decode_heic(path: Path) -> NDArray[Any]:
 
     ValueError says what to install if pillow-heif is missing.
     """
-    pillow_heif = _package("pillow_heif", "heic", "a HEIC picture", "save it as JPEG or PNG")
+    pillow_heif = extra_package("pillow_heif", "heic", "a HEIC picture", "save it as JPEG or PNG")
     with _decoding("a HEIC picture"):
         picture = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)
         return np.array(picture)  # a view would outlive the pixels, which go with `picture`
@@ -31,7 +31,7 @@ def decode_raw(path: Path) -> NDArray[np.uint16]:
     White balance is the camera's; brightness, noise and sharpness stay as they were recorded.
     ValueError says what to install if rawpy is missing.
     """
-    rawpy = _package("rawpy", "raw", "a raw file of a camera", "develop it to a 16-bit TIFF")
+    rawpy = extra_package("rawpy", "raw", "a raw file of a camera", "develop it to a 16-bit TIFF")
     with _decoding("a raw file of a camera"), rawpy.imread(str(path)) as raw:
         developed: NDArray[np.uint16] = raw.postprocess(
             gamma=(1, 1), no_auto_bright=True, output_bps=16, use_camera_wb=True
@@ -49,12 +49,3 @@ def _decoding(kind: str) -> Iterator[None]:
         told = error.args[0] if error.args else None
         reason = told.decode(errors="replace") if isinstance(told, bytes) else in_one_line(error)
         raise ValueError(f"it is {kind}, which could not be decoded ({reason})") from error
-
-
-def _package(name: str, extra: str, kind: str, otherwise: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        raise ValueError(
-            f"it is {kind}, which needs pip install 'napari-defocus[{extra}]'; or {otherwise} first"
-        ) from None

@@ -3,9 +3,49 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 READ_FORMATS = "PNG, JPEG, TIFF, WebP, BMP and GIF"
 """The formats that are read without an extra."""
+
+
+class MicroscopeFormat(NamedTuple):
+    """A format of a maker of microscopes: in words, and the package whose reader reads it."""
+
+    told: str
+    package: str
+
+
+_ND2 = MicroscopeFormat("an ND2 file of Nikon", "bioio_nd2")
+_MICROSCOPES = {
+    b"ZISRAWFILE": MicroscopeFormat("a CZI file of ZEISS", "bioio_czi"),
+    b"\xda\xce\xbe\x0a": _ND2,
+    b"\x70\0\0\0": MicroscopeFormat("a LIF file of Leica", "bioio_lif"),
+}
+"""By the first bytes."""
+
+_OLD_ND2_START = b"\0\0\0\x0cjP  "
+"""Files of Nikon before 2010 are JPEG 2000 files; only their name tells them from others."""
+
+
+class SlideFormat(NamedTuple):
+    """A format of a maker of slide scanners, in words, and the name that OpenSlide has for it."""
+
+    told: str
+    vendor: str
+
+
+_HAMAMATSU = SlideFormat("a slide of Hamamatsu", "hamamatsu")
+_MIRAX = SlideFormat("a slide of 3DHISTECH", "mirax")
+_SAKURA = SlideFormat("a slide of Sakura", "sakura")
+_VENTANA = SlideFormat("a slide of Ventana", "ventana")
+
+_SLIDE_STARTS = (
+    (b"[Virtual Microscope Specimen]", _HAMAMATSU),
+    (b"[Uncompressed Virtual Microscope Specimen]", _HAMAMATSU),
+)
+_TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_SQLITE_START = b"SQLite format 3"
 
 _START = 1024
 """How many bytes are looked at."""
@@ -27,7 +67,9 @@ _READ_STARTS = (b"\x89PNG", b"\xff\xd8", b"GIF8", b"II*\0", b"MM\0*")
 """The first bytes of files that are read if they are whole."""
 
 _EXPORT = "save it as PNG or TIFF first"
-_EXPORT_STACK = "save it as OME-TIFF or OME-Zarr first, such as with Fiji or bioformats2raw"
+EXPORT_STACK = "save it as OME-TIFF or OME-Zarr with Fiji or bioformats2raw"
+"""What can be done with a microscope's file; "first" follows."""
+
 _EXPORT_FRAMES = "save its frames as pictures first"
 
 _KINDS: tuple[tuple[int, bytes, str, str], ...] = (
@@ -43,10 +85,7 @@ _KINDS: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"#?RADIANCE", "a Radiance picture", "save it as a float TIFF first"),
     (0, b"SIMPLE  =", "a FITS file", "save its picture as a float TIFF first"),
     (128, b"DICM", "a DICOM file", "save its picture as TIFF first"),
-    (0, b"ZISRAWFILE", "a CZI file of ZEISS", _EXPORT_STACK),
-    (0, b"\xda\xce\xbe\x0a", "an ND2 file of Nikon", _EXPORT_STACK),
-    (0, b"\x70\0\0\0", "a LIF file of Leica", _EXPORT_STACK),
-    (0, b"\x89HDF", "an HDF5 file", _EXPORT_STACK),
+    (0, b"\x89HDF", "an HDF5 file", f"{EXPORT_STACK} first"),
     (0, b"\x93NUMPY", "an array of NumPy", "load it in Python and give the functions the array"),
     (0, b"\x1a\x45\xdf\xa3", "a video", _EXPORT_FRAMES),
     (0, b"PK\x03\x04", "a ZIP archive", "unpack it first"),
@@ -83,6 +122,30 @@ def _holds_a_mosaic(path: Path) -> bool:
             )
     except Exception:  # it is damaged, which is told when it is read
         return False
+
+
+def microscope_format(path: Path) -> MicroscopeFormat | None:
+    """Return the format of a microscope's file (CZI, ND2, LIF); None for all others."""
+    start = _start_of(path)
+    if path.suffix.lower() == ".nd2" and start.startswith(_OLD_ND2_START):
+        return _ND2
+    return next((known for mark, known in _MICROSCOPES.items() if start.startswith(mark)), None)
+
+
+def slide_format(path: Path) -> SlideFormat | None:
+    """Return the format of a slide that OpenSlide reads; None for all other files.
+
+    Those are slides of several files, such as MIRAX, and slides whose tiles overlap, such as BIF.
+    Slides that are plain TIFF files (.svs, .ndpi, .scn, .qptiff) are none of these.
+    """
+    start, ending = _start_of(path), path.suffix.lower()
+    if ending == ".mrxs" and (path.with_suffix("") / "Slidedat.ini").is_file():
+        return _MIRAX
+    if ending == ".svslide" and start.startswith(_SQLITE_START):
+        return _SAKURA
+    if ending == ".bif" and start.startswith(_TIFF_STARTS):
+        return _VENTANA
+    return next((known for mark, known in _SLIDE_STARTS if start.startswith(mark)), None)
 
 
 def kind_of(path: Path) -> str:

@@ -8,8 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from napari_defocus.io.file_kinds import microscope_format
+from napari_defocus.io.microscope_files import leica_objective, ome_xml_of, open_microscope_file
 from napari_defocus.io.ome_zarr import is_zarr, read_ome_zarr
 from napari_defocus.io.pictures import is_tiff, reading
+from napari_defocus.io.slides import is_for_openslide, open_slide
 from napari_defocus.io.tiff_pixel_size import MICROMETERS, PixelSize, pixel_size_in_tiff, unit_of
 from napari_defocus.io.tiff_series import picture_number
 from napari_defocus.psf.microscope import IMMERSIONS, Microscope, Specimen
@@ -55,8 +58,8 @@ def read_microscope(
 ) -> Microscope:
     """Take the microscope from what a picture's file notes, and from what you give instead.
 
-    OME-TIFF, OME-XML and the OME-Zarr stores of bioformats2raw note all of it if the microscope's
-    program did. Of other TIFF files and stores, the pixel size is read.
+    OME-TIFF, OME-XML, CZI, ND2 and the OME-Zarr stores of bioformats2raw note all of it if the
+    microscope's program did; LIF files note no wavelength. Of other files, the pixel size is read.
 
     Parameters
     ----------
@@ -138,6 +141,9 @@ def noted_microscope(path: str | os.PathLike[str], channel: int | None = None) -
     if text:
         with reading(path):
             found |= _noted_in_xml(text, picture, channel)
+    elif path.is_file():
+        with reading(path):
+            found |= _noted_by_leica(leica_objective(path))
     sides = [steps[axis] * MICROMETERS[units[axis]] for axis in "xy" if _is_length(axis, units)]
     if sides:
         found["pixel_size_um"] = square_side(path, sides)
@@ -171,6 +177,12 @@ def _notes(path: Path) -> tuple[PixelSize, str | None, int]:
         text = files[0].read_text("utf-8") if files else None
         return (store.pixel_size, store.units), text, int(path.name) if path.name.isdecimal() else 0
     with reading(path):
+        if microscope_format(path):
+            scene = open_microscope_file(path, 0)
+            return (scene.pixel_size, scene.units), ome_xml_of(path), 0
+        if is_for_openslide(path):
+            _, steps = open_slide(path)
+            return (steps, dict.fromkeys(steps, "micrometer")), None, 0
         if is_tiff(path):
             import tifffile
 
@@ -206,6 +218,17 @@ def _of_channel(waves: list[float | None], channel: int | None) -> float | None:
     if channel is None:
         return waves[0] if len(set(waves)) == 1 else None
     return waves[channel] if channel < len(waves) else None
+
+
+def _noted_by_leica(objective: Mapping[str, str]) -> Noted:
+    """Return what a LIF file notes of an objective; nothing if it notes none."""
+    if not objective:
+        return {}
+    index = _number(objective.get("RefractionIndex"))
+    return {
+        "numerical_aperture": _number(objective.get("NumericalAperture")),
+        "refractive_index": index or _index_of(objective.get("Immersion", "")),
+    }
 
 
 def _objective(root: ElementTree.Element, settings: Mapping[str, str]) -> Mapping[str, str]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import operator
 import os
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.core.checks import renamed
 from napari_defocus.core.extras import need_large_extra
-from napari_defocus.io.file_kinds import is_raw
+from napari_defocus.io.file_kinds import is_raw, microscope_format
 from napari_defocus.io.lazy_arrays import lazy_array
+from napari_defocus.io.microscope_files import open_microscope_file
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
 from napari_defocus.io.picture_files import Inputs, as_paths, find_sources, naturally
 from napari_defocus.io.pictures import (
@@ -28,84 +26,14 @@ from napari_defocus.io.pictures import (
     reading,
 )
 from napari_defocus.io.provenance import SHARPEST_PIXELS, mark_of
+from napari_defocus.io.slides import is_for_openslide, open_slide
+from napari_defocus.io.source import Source
 from napari_defocus.io.tiff_reader import open_tiff
 
 if TYPE_CHECKING:
     import dask.array as da
 
 __all__ = ["Source", "find_sources", "open_source", "open_stack"]
-
-
-@dataclass(frozen=True, eq=False)
-class Source:
-    """A picture, or planes of one size, of which pixels are read when they are computed.
-
-    Attributes
-    ----------
-    path : Path
-    data : dask.array.Array
-        bool or real numbers. It can be sent to other processes, which open the file themselves.
-    axes : str
-        A letter an axis of `data`: planes, such as t, c, z, then y, x, then s for colours.
-    pixel_size : dict of str to float
-        How far apart neighbours are, for axes of which it is known.
-    units : dict of str to str
-        In the spelling of UDUNITS, such as "micrometer", for axes of which it is known.
-    pictures : tuple of Path
-        The pictures that are its planes, if it is made of several; see `open_stack`.
-    """
-
-    path: Path
-    data: da.Array
-    axes: str
-    pixel_size: dict[str, float]
-    units: dict[str, str]
-    pictures: tuple[Path, ...] = ()
-
-    @property
-    def scale(self) -> dict[str, float]:
-        """The old name of `pixel_size`."""
-        return renamed("scale", self.pixel_size, "pixel_size", None) or {}
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """What is read: `pictures`, or `path` alone."""
-        return self.pictures or (self.path,)
-
-    @property
-    def plane_axes(self) -> str:
-        """The axes before y and x."""
-        return self.axes[: self.axes.index("y")]
-
-    @property
-    def plane_shape(self) -> tuple[int, ...]:
-        """How many planes there are along each of `plane_axes`; () for a single picture."""
-        return tuple(self.data.shape[: len(self.plane_axes)])
-
-    def planes(self) -> Iterator[tuple[int, ...]]:
-        """Return the index of every plane, the last axis fastest; one () for a single picture."""
-        return iter(np.ndindex(*self.plane_shape))
-
-    def plane(self, index: tuple[int, ...] = ()) -> da.Array:
-        """Return a plane, (H, W) or (H, W, 3 or 4), not yet read.
-
-        Raises
-        ------
-        IndexError
-            If there is no such plane.
-        """
-        sizes = dict(zip(self.plane_axes, self.plane_shape, strict=True))
-        within = map(operator.contains, map(range, sizes.values()), index)
-        if len(index) != len(sizes) or not all(within):
-            extent = ", ".join(f"{axis} 0 to {size - 1}" for axis, size in sizes.items())
-            raise IndexError(
-                f"index is {index}; the planes of {self.path} are {extent or '() alone'}"
-            )
-        return self.data[index]
-
-    def label_of(self, index: tuple[int, ...]) -> str:
-        """Return a plane's index in words, such as "t=3 z=12"; "" for a single picture."""
-        return " ".join(f"{a}={at}" for a, at in zip(self.plane_axes, index, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +61,7 @@ class _Animation:
         return np.stack([read_frame(self.path, number) for number in numbers])[:, *region[1:]]
 
 
-def open_source(path: str | os.PathLike[str]) -> Source:
+def open_source(path: str | os.PathLike[str], scene: int | None = None) -> Source:
     """Open a photograph, a stack or a slide; no pixels are read.
 
     - PNG, JPEG, WebP, BMP, GIF, HEIC and raw files: what `read_picture` gives, as one block. Of
@@ -146,10 +74,15 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     - OME-Zarr 0.4 and 0.5, folders: the largest level of the first picture. Three channels become
       colours if the store says that they are pure red, green and blue. All other channels are
       planes, even three of uint8, because a store does not say that they belong together.
+    - CZI, ND2 and LIF, with the extra "microscopes": planes are read one by one, tiles of a mosaic
+      are put together. Scenes of one form are planes along p.
+    - MIRAX, VMS, BIF and Sakura's slides, with the extra "slides": the largest level.
 
     Parameters
     ----------
     path : path-like
+    scene : int, optional
+        Which scene of a CZI, ND2 or LIF file to take, from 0. It is needed if they differ in shape.
 
     Returns
     -------
@@ -159,7 +92,9 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     ------
     UnreadablePicture
         In one line: there is no such file, it is cut off or damaged, holds no picture or several,
-        or no real numbers.
+        or no real numbers; there is no such scene, or the extra that reads it is not installed.
+    ValueError
+        If a scene is chosen of a file that has none.
     ImportError
         If the extra "large" is not installed.
 
@@ -179,6 +114,8 @@ def open_source(path: str | os.PathLike[str]) -> Source:
     """
     need_large_extra()
     path = Path(path)
+    if scene is not None and (path.is_dir() or (path.is_file() and not microscope_format(path))):
+        raise ValueError(f"scene is {scene}, but {path} has none; CZI, ND2 and LIF files have")
     if path.is_dir():
         if not is_zarr(path):
             raise UnreadablePicture(
@@ -186,10 +123,27 @@ def open_source(path: str | os.PathLike[str]) -> Source:
             )
         return _zarr_source(path)
     with reading(path):
+        if microscope_format(path):
+            return _microscope_source(path, scene)
+        if is_for_openslide(path):
+            data, pixel_size = open_slide(path)
+            return Source(path, data, "yxs", pixel_size, dict.fromkeys(pixel_size, "micrometer"))
         if is_tiff(path) and not is_raw(path):
             data, axes, (pixel_size, units) = open_tiff(path)
             return Source(path, data, axes, pixel_size, units)
         return Source(path, *_photograph(path), {}, {})
+
+
+def _microscope_source(path: Path, scene: int | None) -> Source:
+    found = open_microscope_file(path.absolute(), scene)
+    return Source(
+        path,
+        found.data,
+        found.axes,
+        found.pixel_size,
+        found.units,
+        channel_names=found.channel_names,
+    )
 
 
 def _photograph(path: Path) -> tuple[da.Array, str]:
@@ -218,7 +172,7 @@ def _zarr_source(path: Path) -> Source:
 # Pictures that are planes of one stack.
 
 
-def open_stack(inputs: Inputs) -> Source:
+def open_stack(inputs: Inputs, scene: int | None = None) -> Source:
     """Open a stack: one file, or pictures of one plane that are its planes; no pixels are read.
 
     Parameters
@@ -227,6 +181,8 @@ def open_stack(inputs: Inputs) -> Source:
         A stack as `open_source` takes it; or a folder, several pictures, or patterns, see
         `find_sources`. Several pictures are planes in the natural order of their names: slice2
         comes before slice10. They are along z, and each may have channels, c, beside.
+    scene : int, optional
+        Which scene of each CZI, ND2 or LIF file to take, from 0.
 
     Returns
     -------
@@ -255,7 +211,7 @@ def open_stack(inputs: Inputs) -> Source:
     given = as_paths(inputs)
     files = sorted(find_sources(given), key=naturally)
     if len(given) == 1 and files == given:
-        return open_source(given[0])
+        return _one_scene(open_source(given[0], scene))
     if not files:
         raise UnreadablePicture("cannot read a stack: there are no files")
     place = given[0] if len(given) == 1 and given[0].is_dir() else files[0]
@@ -264,7 +220,17 @@ def open_stack(inputs: Inputs) -> Source:
             f"cannot read {place} as a stack: it is one picture, {files[0].name}; give two or "
             "more, or the file itself if it is a stack"
         )
-    return _as_planes(place, [_as_plane(open_source(path)) for path in files])
+    return _as_planes(place, [_as_plane(open_source(path, scene)) for path in files])
+
+
+def _one_scene(source: Source) -> Source:
+    """Refuse several scenes: they are no planes through focus."""
+    if source.axes.startswith("p") and source.path.is_file() and microscope_format(source.path):
+        raise UnreadablePicture(
+            f"cannot read {source.path} as a stack: it holds {source.data.shape[0]} scenes; scene "
+            "chooses one (in a terminal --scene, from 0)"
+        )
+    return source
 
 
 def _as_plane(picture: Source) -> Source:

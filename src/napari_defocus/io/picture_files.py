@@ -8,8 +8,10 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
+from itertools import chain
 from pathlib import Path
 
+from napari_defocus.core.extras import is_there
 from napari_defocus.io.ome_zarr import is_zarr
 from napari_defocus.io.pictures import UnreadablePicture
 from napari_defocus.io.provenance import SOFTWARE, is_picture, mark_of
@@ -18,6 +20,14 @@ _PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".heic", ".hei
 _SLIDES = (".svs", ".ndpi", ".scn", ".qptiff", ".bif", ".lsm", ".stk", ".btf", ".tf8")
 PICTURE_SUFFIXES = (*_PHOTOGRAPHS, ".tif", ".tiff", *_SLIDES)
 """Files of folders and patterns that are taken for pictures; the slides are kinds of TIFF."""
+
+_SUFFIXES_OF = {
+    "bioio_czi": (".czi",),
+    "bioio_nd2": (".nd2",),
+    "bioio_lif": (".lif",),
+    "openslide": (".mrxs", ".svslide"),
+}
+"""Those that are taken, too, if a package that reads them is installed."""
 
 FOLDER, RESULT, NO_ENDING = "folder", "result", "no ending"
 """Kinds of files that are left out and have no ending of their own."""
@@ -28,6 +38,15 @@ _TOLD = {
     NO_ENDING: ("without an ending", "without an ending"),
 }
 _WILD = re.compile(r"[*?\[]")
+
+
+def picture_suffixes() -> tuple[str, ...]:
+    """Return the endings of the files that are taken for pictures, with the extras that are there.
+
+    Not those of slides whose parts are pictures that lie beside them (.vms): name these.
+    """
+    more = (suffixes for package, suffixes in _SUFFIXES_OF.items() if is_there(package))
+    return (*PICTURE_SUFFIXES, *chain.from_iterable(more))
 
 
 Inputs = Iterable[str | os.PathLike[str]] | str | os.PathLike[str]
@@ -55,7 +74,7 @@ class _Search:
 
     def is_picture(self, path: Path) -> bool:
         """Return whether something found is a picture; note it if it is none."""
-        if is_zarr(path) or (path.suffix.lower() in PICTURE_SUFFIXES and path.is_file()):
+        if is_zarr(path) or (path.suffix.lower() in picture_suffixes() and path.is_file()):
             if not mark_of(path):
                 return True
             self.leave_out(path, RESULT)
@@ -165,7 +184,8 @@ def _named_by(path: Path, search: _Search) -> list[Path]:
     pictures = [entry for entry in dict.fromkeys(entries) if search.is_picture(entry)]
     if not pictures:
         left_out = told_left_out(search.counts([]))
-        told = f"({', '.join(PICTURE_SUFFIXES)})" + (f"; left out: {left_out}" if left_out else "")
+        told = f"({', '.join(picture_suffixes())})"
+        told += f"; left out: {left_out}" if left_out else ""
         raise UnreadablePicture(f"cannot read {path}: {none} {told}")
     return sorted(pictures, key=naturally)
 

@@ -15,7 +15,9 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 
 from napari_defocus.core.writing import in_one_line
 from napari_defocus.io.camera_files import decode_heic, decode_raw
-from napari_defocus.io.file_kinds import is_heic, is_raw, kind_of
+from napari_defocus.io.file_kinds import is_heic, is_raw, kind_of, microscope_format
+from napari_defocus.io.microscope_files import open_microscope_file
+from napari_defocus.io.slides import is_for_openslide, open_slide, told_choice_of_slide
 from napari_defocus.io.tiff_series import picture_number, told_choice
 
 PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF")
@@ -24,6 +26,11 @@ PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF")
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_BIT_DEPTH_AT = 24
+
+_FOR_STACKS = (
+    "napari-defocus batch reads stacks, plane by plane, and sharpest makes one sharp picture of "
+    "planes through focus"
+)
 
 _OF_PROGRAMS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError)
 """Errors that decoders raise by accident on damaged files. Their text tells a user little."""
@@ -65,7 +72,8 @@ def read_picture(path: str | os.PathLike[str]) -> NDArray[Any]:
     path : path-like
         A PNG, JPEG, TIFF, WebP, BMP or GIF file; slides of many makers are TIFF. HEIC pictures
         of phones are read with the extra "heic", raw files of cameras with the extra "raw": these
-        are developed into linear light, as RGB of 16 bits.
+        are developed into linear light, as RGB of 16 bits. CZI, ND2 and LIF files of one plane are
+        read with the extra "microscopes", slides such as MIRAX with the extra "slides".
 
     Returns
     -------
@@ -102,6 +110,8 @@ def told_choice_in(path: str | os.PathLike[str]) -> str:
 
     # What is wrong with a file is told when it is read.
     with suppress(Exception):
+        if is_for_openslide(Path(path)):
+            return told_choice_of_slide(Path(path))
         if is_tiff(Path(path)):
             with tifffile.TiffFile(path) as tiff:
                 return told_choice(tiff)
@@ -178,6 +188,10 @@ def _is_deep_png(path: Path) -> bool:
 def _decode(path: Path) -> tuple[NDArray[Any], int]:
     if is_raw(path):
         return decode_raw(path), 1
+    if microscope_format(path):
+        return _decode_microscope_file(path), 1
+    if is_for_openslide(path):
+        return _at_once(open_slide(path)[0]), 1
     if is_tiff(path):
         return _decode_tiff(path)
     if is_heic(path):
@@ -194,6 +208,20 @@ def _decode(path: Path) -> tuple[NDArray[Any], int]:
             return _opacity_last(imagecodecs.png_decode(path.read_bytes())), orientation
         mode = _mode(image)
         return np.asarray(image if image.mode == mode else image.convert(mode)), orientation
+
+
+def _decode_microscope_file(path: Path) -> NDArray[Any]:
+    found = open_microscope_file(path)
+    if found.axes not in ("yx", "yxs"):
+        shape = " x ".join(map(str, found.data.shape))
+        raise ValueError(f"it is a stack of {shape} (axes {found.axes.upper()}); {_FOR_STACKS}")
+    return _at_once(found.data)
+
+
+def _at_once(data: Any) -> NDArray[Any]:
+    """Return the pixels of a dask array, (H, W[, colours]), if they are not too many."""
+    _refuse_bomb(data.shape[0] * data.shape[1])
+    return np.asarray(data.compute(scheduler="synchronous"))
 
 
 def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
@@ -214,10 +242,7 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
 def _single_plane(tiff: Any) -> Any:
     series = tiff.series[picture_number(tiff)]
     if series.axes not in ("YX", "YXS", "SYX"):
-        raise ValueError(
-            f"it is {_told_stack(series)}; napari-defocus batch reads stacks, plane by plane, and "
-            "sharpest makes one sharp picture of planes through focus"
-        )
+        raise ValueError(f"it is {_told_stack(series)}; {_FOR_STACKS}")
     _refuse_bomb(series.keyframe.imagelength * series.keyframe.imagewidth)
     return series
 

@@ -7,6 +7,7 @@ from magicgui.widgets import ComboBox, FloatSpinBox, PushButton, Widget
 from napari.layers import Image
 from napari.utils.notifications import show_info, show_warning
 
+from napari_defocus.io.microscope_files import lacks_extra
 from napari_defocus.io.microscope_metadata import Noted, noted_microscope, square_side
 from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.psf.microscope import Microscope
@@ -35,8 +36,8 @@ class MicroscopeFields:
         self.read_button = PushButton(
             name="read_microscope",
             text="Read from image",
-            tooltip="Fill in what the image's file notes of its microscope (OME-TIFF, OME-Zarr), "
-            "and the pixel size of its layer. The other fields stay as they are.",
+            tooltip="Fill in what the image's file notes of its microscope (OME-TIFF, OME-Zarr, "
+            "CZI, ND2, LIF), and the pixel size of its layer. The other fields stay as they are.",
         )
         self.aperture = _number(
             *("numerical_aperture", "NA", 1.7, 0.05, 3),
@@ -144,7 +145,9 @@ def noted_in_layer(layer: Image) -> Noted:
         If pixels are not square.
     """
     path = layer.source.path
-    noted: Noted = {} if path is None else noted_microscope(Path(path))
+    noted: Noted = {}
+    if path is not None and not lacks_extra(Path(path)):  # then another plugin has read it
+        noted = noted_microscope(Path(path))
     sides = [
         float(side) * MICROMETERS[str(unit)]
         for side, unit in zip(layer.scale[-2:], layer.units[-2:], strict=True)
