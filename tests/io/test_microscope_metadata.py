@@ -46,7 +46,7 @@ def test_a_channel_has_its_own_wavelength_and_settings_their_own_index(ome_tiff)
 
 
 def test_wavelength_of_one_channel_is_not_taken_for_another(ome_tiff):
-    with pytest.raises(ValueError, match="channels of .* have different wavelengths"):
+    with pytest.raises(ValueError, match=r"channels of .* have different wavelengths"):
         read_microscope(ome_tiff())
 
 

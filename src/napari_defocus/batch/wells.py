@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import PurePath
 
 _NAMED = re.compile(r"(?<![A-Za-z0-9])([A-P])(0?[1-9]|1[0-9]|2[0-4])(?![0-9A-Za-z])")
@@ -70,7 +71,7 @@ def plates_of(sources: Iterable[str]) -> dict[str, str]:
     ['', '', '']
     """
     words = _words_of(sources)
-    for named in (lambda word: word.before, lambda word: word.folder):
+    for named in (attrgetter("before"), attrgetter("folder")):
         held: dict[str, set[str]] = {}
         for word in words.values():
             held.setdefault(named(word), set()).add(word.well)

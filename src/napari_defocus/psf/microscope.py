@@ -217,9 +217,10 @@ class Microscope:
     def _remark_on_wide_pixels(self) -> str | None:
         if self.airy_radius * _WIDE_PIXELS >= 1:
             return None
+        times = 1 / self.airy_radius
         return (
-            f"A pixel of {self.pixel_size_um:.4g} um is {1 / self.airy_radius:.0f} times as wide as "
-            "the Airy disc of this microscope: um are wrong if that is not its size in the specimen."
+            f"A pixel of {self.pixel_size_um:.4g} um is {times:.0f} times as wide as the Airy "
+            "disc of this microscope: um are wrong if that is not its size in the specimen."
         )
 
     def with_wider_pixels(self, side: int, largest: float) -> Microscope:

@@ -66,7 +66,7 @@ def test_pixels_of_a_layer_may_be_wider_than_those_of_microscopes(form):
 def test_pixel_size_of_a_layer_is_taken_only_if_pixels_are_square(form, width, noted):
     layer = Image(np.zeros((8, 8)), scale=(0.1, width), units=("um", "um"))
     if noted is None:
-        with pytest.raises(ValueError, match="0.1 x 0.2 um; it takes square ones"):
+        with pytest.raises(ValueError, match=r"0\.1 x 0\.2 um; it takes square ones"):
             noted_in_layer(layer)
     else:
         assert noted_in_layer(layer) == {"pixel_size_um": noted}
