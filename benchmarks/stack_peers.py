@@ -10,7 +10,6 @@ out of PEERS. focusstacker is none of them: it takes and writes JPEG alone.
 
 import contextlib
 import json
-import resource
 import sys
 import tempfile
 import time
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import tifffile
 from scipy.ndimage import laplace, uniform_filter
+from sizes import megabytes
 from skimage.transform import pyramid_expand, pyramid_reduce
 
 from napari_defocus import sharpest_plane
@@ -158,8 +158,7 @@ def main() -> None:
             composites[key] = PEERS[name](stack, key.endswith("+move"))
             seconds[key] = time.perf_counter() - start
     np.savez(out, **composites)
-    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(json.dumps({"seconds": seconds, "megabytes": kilobytes / 1024}))
+    print(json.dumps({"seconds": seconds, "megabytes": megabytes()}))
 
 
 if __name__ == "__main__":

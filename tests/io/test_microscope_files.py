@@ -372,5 +372,6 @@ def test_layer_of_another_plugin_keeps_its_pixel_size_without_the_extra(tmp_path
     path = tmp_path / "cells.czi"
     path.write_bytes(b"ZISRAWFILE" + bytes(200))
     source = SimpleNamespace(path=str(path))
-    layer = SimpleNamespace(source=source, scale=(0.2, 0.2), units=("micrometer", "micrometer"))
+    units = ("micrometer", "micrometer")
+    layer = SimpleNamespace(name="cells", source=source, scale=(0.2, 0.2), units=units)
     assert noted_in_layer(layer) == {"pixel_size_um": 0.2}
