@@ -38,6 +38,25 @@ def write_ome_tiff(path, values, axes):
     return path
 
 
+OBJECTIVE = """<?xml version="1.0" encoding="UTF-8"?>
+<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">
+<Instrument ID="Instrument:0">
+<Objective ID="Objective:0" LensNA="0.8" Immersion="Air"/></Instrument>
+<Image ID="Image:0"><ObjectiveSettings ID="Objective:0"/>
+<Pixels ID="Pixels:0" DimensionOrder="XYCZT" Type="{dtype}" SizeX="{width}" SizeY="{height}"
+SizeC="1" SizeZ="1" SizeT="1" PhysicalSizeX="0.1625" PhysicalSizeXUnit="µm" PhysicalSizeY="0.1625"
+PhysicalSizeYUnit="µm"><Channel ID="Channel:0:0" EmissionWavelength="520"/>
+<TiffData IFD="0" PlaneCount="1"/></Pixels></Image></OME>"""
+
+
+def write_ome_tiff_of_objective(path, plane):
+    """Write a plane that an objective of NA 0.8 in air took at 520 nm, pixels of 0.1625 um."""
+    height, width = plane.shape
+    text = OBJECTIVE.format(dtype=plane.dtype, height=height, width=width)
+    tifffile.imwrite(path, plane, description=text.encode(), metadata=None)
+    return path
+
+
 def write_pages(path, values, axes):
     """Write pages of which the file says nothing."""
     assert len(axes) == 3

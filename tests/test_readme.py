@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 from command_line import names_in, run
+from microscope_files import write_ome_tiff_of_objective
 from PIL import Image
 
 import napari_defocus
@@ -109,6 +110,13 @@ def own_files(tmp_path, small_sample, gravel, defocused):
     planes = [defocused(gravel[:64, :80], abs(plane - 1.5)) for plane in range(4)]
     stack = np.clip(255 * np.stack(planes), 0, 255).astype(np.uint8)
     tifffile.imwrite(tmp_path / "worm.tif", stack, photometric="minisblack")
+    step = {"axes": "ZYX", "PhysicalSizeZ": 0.5, "PhysicalSizeZUnit": "µm"}
+    tifffile.imwrite(tmp_path / "worm.ome.tif", stack, photometric="minisblack", metadata=step)
+    cells = np.rint(200 * gravel[:64, :80]).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "cells.tif", cells)
+    for name in ("cells.ome.tif", "plate/B03.ome.tif"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_ome_tiff_of_objective(tmp_path / name, cells)
     for number, plane in enumerate(planes, 8):
         save_as_bytes(plane, tmp_path / f"slices/slice{number}.png")
     save_store(tmp_path / "worm.ome.zarr", stack, "zyx")
@@ -188,6 +196,7 @@ def test_the_scripts_run_one_after_the_other(page, tmp_path, small_sample, monke
     Settings().save("defocus.json")
     image = np.asarray(small_sample)[:, 150:300]
     Image.fromarray(image).save("photo.jpg")
+    write_ome_tiff_of_objective("cells.ome.tif", np.ascontiguousarray(image[..., 1]))
     texture = np.random.default_rng(0).uniform(0.1, 0.9, (96, 128)).astype(np.float32)
     names = {
         "__name__": "page",
