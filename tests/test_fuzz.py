@@ -21,6 +21,8 @@ WITHOUT_A_RECIPE = {
     "AutomaticPSF",  # it has no kernels
     *("RestorationFit", "TiledRestorationFit"),
     "StackAlignment",
+    # They have tests of their own: numbers of a microscope and of a report, and their files.
+    *("Microscope", "read_microscope", "FieldLimits", "write_report"),
     # A protocol, exceptions, and a function whose files are fuzzed through the terminal.
     *("PSFFamily", "Cancelled", "UnreadablePicture", "read_picture"),
 }

@@ -27,7 +27,7 @@ def _lines(facts: Facts) -> Iterator[str]:
     """,
 )
 def report(folder: Path, *, flagging: LimitOptions, progress: Progress) -> dict[str, Any]:
-    """Write the report of a batch anew, by other limits; nothing is measured."""
+    """Write the report of a batch anew, by other limits."""
     limits = flagging.limits()
     written = napari_defocus.write_report(folder, limits=limits)
     return {

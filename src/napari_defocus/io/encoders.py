@@ -218,7 +218,7 @@ def check_unit(description: Mapping[str, Any], path: str | os.PathLike[str]) -> 
         If the description says so.
     """
     scale, unit = description.get("scale"), description.get("unit", "px")
-    if unit != "px":
+    if unit not in ("px", "1"):
         what = description.get("quantity")
         raise ValueError(f"{path} holds a {what} in {unit}; it takes a blur map in px")
     if scale in _EARLIER_UNITS:

@@ -17,8 +17,8 @@ STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 HALF = len(STEPS)
 """Weights of a node with its neighbours, if all labels have the same ones."""
 
-WIDE = 60
-"""The label of 6 px. Differences beyond it may have their own weights, as edges of what is blurred
+WIDE = 50
+"""The label of 5 px. Differences beyond it may have their own weights, as edges of what is blurred
 by more show only in the picture smoothed over 8 px (docs/decisions.md).
 """
 
