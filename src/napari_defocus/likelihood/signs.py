@@ -111,10 +111,10 @@ def doubt_of(strength: Float32 | None, direction: Float32 | None) -> str | None:
         return None
     if np.quantile(strength, _MOST) < _WEAK:
         return NOTHING_SEEN
-    mean = _mean_direction(strength, direction)
-    if mean is None:
-        return None
     strong = direction[strength >= _STRONG].astype(np.float64)
+    if not len(strong):
+        return None
+    mean = strong.mean(axis=0)
     along = strong @ mean / max(float(np.hypot(*mean)), 1e-9)
     return ONE_DIRECTION if np.quantile(along, _EXCEPTIONS) > _ONE_WAY else None
 
@@ -134,14 +134,8 @@ def one_direction(strength: Float32 | None, direction: Float32 | None) -> float 
     """
     if strength is None or direction is None:
         return None
-    mean = _mean_direction(strength, direction)
-    if mean is None:
+    strong = direction[strength >= _STRONG].astype(np.float64)
+    if not len(strong):
         return None
-    strong = direction[strength >= _STRONG].astype(np.float64)
-    return float(np.hypot(*mean) / max(np.hypot(strong[:, 0], strong[:, 1]).mean(), 1e-9))
-
-
-def _mean_direction(strength: Float32, direction: Float32) -> NDArray[np.float64] | None:
-    """Return the mean of d over strong windows, (2,)."""
-    strong = direction[strength >= _STRONG].astype(np.float64)
-    return strong.mean(axis=0) if len(strong) else None
+    together, apart = np.hypot(*strong.mean(axis=0)), np.hypot(*strong.T).mean()
+    return float(together / max(apart, 1e-9))
