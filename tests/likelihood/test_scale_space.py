@@ -102,6 +102,15 @@ def test_noise_that_is_no_white_noise_is_not_taken_for_details(mosaic):
     assert np.mean(np.abs(blur_map - 20) > 5) < 0.05
 
 
+def test_noise_with_grains_of_many_pixels_is_not_taken_for_details(mosaic):
+    coarse = gaussian_filter(np.random.default_rng(0).normal(size=mosaic.shape), 4)
+    noise = coarse / coarse.std() + np.random.default_rng(1).normal(size=mosaic.shape)
+    light = blurred(mosaic, Disc().kernel(20.0)) + 1e-5**0.5 * noise
+    picture = light.astype(np.float32)
+    blur_map = label_blur_map(estimate_candidates(picture, noise_variance=2e-5), picture)
+    assert np.mean(np.abs(blur_map - 20) > 5) < 0.05
+
+
 def test_what_is_sharp_has_no_part_in_what_coarser_levels_see(mosaic):
     picture = prepare_image(mosaic[:200, :200].astype(np.float32), (0, 1))
     hidden = np.zeros((200, 200), bool)

@@ -22,7 +22,7 @@ from napari_defocus.core.intensity import Intensities, IntensityRange
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.progress import within as within_share
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
-from napari_defocus.likelihood.averaged_pixels import halved_without, level_count
+from napari_defocus.likelihood.averaged_pixels import halved_without, level_count, noise_share
 from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, spectrum_table
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window, within_window
@@ -187,7 +187,8 @@ def _levels_of(
     hidden = np.zeros(picture.shape, bool)
     for level in range(count):
         report = within_share(progress, *shares[level : level + 2] / shares[-1])
-        noise, shot = 4.0**-level * noise_variance, shot_noise and shot_noise.reduced(4.0**-level)
+        share = noise_share(level)
+        noise, shot = share * noise_variance, shot_noise and shot_noise.reduced(share)
         seen = part if level == 0 else picture
         found = _of_one_level(seen, how.of_level(level), noise, shot, report)
         levels.append(Level(seen, found, 2**level, hidden))

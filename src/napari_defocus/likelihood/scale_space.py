@@ -2,7 +2,8 @@
 
 A window of 41 px tells radii up to 8 px. Twice as wide ones are measured with the same window on
 the picture whose pixels are means of 2 x 2, and so on: level l has pixels of 2^l px. The PSF is
-the family's own there, and white noise has 1 / 4^l of its variance. One curve of all levels lives
+the family's own there, and white noise would have 1 / 4^l of its variance; a camera's has more
+(`averaged_pixels.noise_share`). One curve of all levels lives
 on one axis of scales: 0.1 px apart up to 8 px, then as far apart as each level's own are, up to 16
 px, 32 px, and so on.
 
