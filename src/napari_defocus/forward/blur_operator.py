@@ -27,8 +27,8 @@ _KERNEL_STEP, _STEPS_BETWEEN = 0.05, 4
 between. Chosen by hand.
 """
 
-_LANES = 12
-"""Weights that are worked on at once: of 12 pixels in a row, or of 4 with three channels."""
+_LANES = 8
+"""Weights in a row of a kernel come in multiples of this, as in the processor's vectors."""
 
 _LEAST_BAND = 16
 """Rows that one thread spreads at a time, or as many as a kernel has if that is more."""
@@ -56,19 +56,19 @@ class BlurOperator:
     """
 
     def __init__(self, blur_map: Float32, psf: PSFFamily, channels: int) -> None:
-        taps = _LANES // channels
         first, kernels = _kernels_between(psf, float(blur_map.min()), float(blur_map.max()))
         kernels = _interpolated(kernels)
         side = kernels.shape[1]
         self.shape: tuple[int, int] = (blur_map.shape[0], blur_map.shape[1])
-        width = -(-side // taps) * taps
+        lanes = _in_lanes(side * channels)
+        width = -(-lanes // channels)
         self.domain: tuple[int, int] = (self.shape[0] + side - 1, self.shape[1] + width - 1)
         reach = side // 2
         self.inner: tuple[slice, ...] = tuple(slice(reach, reach + length) for length in self.shape)
         self._channels = channels
         step = np.float32(_KERNEL_STEP / _STEPS_BETWEEN)
         self._kernel = np.rint(blur_map / step - first * _STEPS_BETWEEN).astype(np.int32)
-        self._blocks, self._frames = _in_blocks(kernels, taps, width, channels)
+        self._weights, self._frames = _in_rows(kernels, lanes, channels)
 
     def extend(self, picture: Float32) -> Float32:
         """Mirror a picture, (H, W, C), at its border to fill the domain."""
@@ -80,7 +80,7 @@ class BlurOperator:
     def apply(self, picture: Float32) -> Float32:
         """Return A f, (H, W, C), of f on the domain."""
         blurred = np.empty((*self.shape, self._channels), np.float32)
-        kernels = self._kernel, self._blocks, self._frames
+        kernels = self._kernel, self._weights, self._frames
         in_bands(_gather, self.shape[0], _rows(picture), *kernels, _rows(blurred))
         return blurred
 
@@ -88,11 +88,11 @@ class BlurOperator:
         """Return A' y on the domain, of y, (H, W, C)."""
         spread = np.zeros((*self.domain, self._channels), np.float32)
         arguments = (
-            _rows(np.ascontiguousarray(picture)), self._kernel, self._blocks, self._frames,
+            _rows(np.ascontiguousarray(picture)), self._kernel, self._weights, self._frames,
             _rows(spread),
         )  # fmt: skip
         # Bands of rows that write to no common row, every second one, at once.
-        height = max(self._blocks.shape[2], _LEAST_BAND)
+        height = max(self._weights.shape[1], _LEAST_BAND)
         bands = -(-self.shape[0] // height)
         for parity in range(2):
             in_bands(_spread, (bands + 1 - parity) // 2, parity, height, *arguments)
@@ -157,32 +157,33 @@ def _interpolated(kernels: Float64) -> Float64:
     return (1 - share) * kernels[near] + share * kernels[near + 1]
 
 
-def _in_blocks(kernels: Float64, taps: int, width: int, channels: int) -> tuple[Float32, Int32]:
+def _in_rows(kernels: Float64, lanes: int, channels: int) -> tuple[Float32, Int32]:
     """Lay out kernels for `_gather` and `_spread`.
 
     Returns
     -------
-    blocks : (K, B, S, taps * channels) float32 ndarray
-        Columns of each kernel in blocks from its first one that is not empty, each weight
-        repeated for all channels. A PSF is turned by half a turn when it gathers instead of
-        spreading.
+    rows : (K, S, lanes) float32 ndarray
+        Each kernel from its first column that is not empty, each weight repeated for all
+        channels. A PSF is turned by half a turn when it gathers instead of spreading.
     frames : (K, 4) int32 ndarray
-        The first row, the row after the last, the first column and the number of blocks.
+        The first row, the row after the last, the first column and the number of weights in a row,
+        a multiple of `_LANES`.
     """
     turned = kernels[:, ::-1, ::-1]
     side = kernels.shape[1]
-    blocks = np.zeros((len(kernels), width // taps, side, taps * channels), np.float32)
+    laid = np.zeros((len(kernels), side, lanes), np.float32)
     frames = np.zeros((len(kernels), 4), np.int32)
-    for kernel, block, frame in zip(turned, blocks, frames, strict=True):
-        rows, columns = (np.flatnonzero(kernel.any(axis=axis)) for axis in (1, 0))
-        used = -(-(columns[-1] + 1 - columns[0]) // taps)
-        left = min(columns[0], width - used * taps)
-        seen = np.zeros((side, used * taps))
-        seen[:, : side - left] = kernel[:, left : left + used * taps]
-        by_block = seen.reshape(side, used, taps).swapaxes(0, 1)
-        block[:used] = by_block.repeat(channels, axis=2)
-        frame[:] = rows[0], rows[-1] + 1, left, used
-    return blocks, frames
+    for kernel, rows, frame in zip(turned, laid, frames, strict=True):
+        high, wide = (np.flatnonzero(kernel.any(axis=axis)) for axis in (1, 0))
+        used = _in_lanes((wide[-1] + 1 - wide[0]) * channels)
+        left = min(wide[0], (lanes - used) // channels)
+        rows[:, : (side - left) * channels] = kernel[:, left:].repeat(channels, axis=1)
+        frame[:] = high[0], high[-1] + 1, left, used
+    return laid, frames
+
+
+def _in_lanes(weights: int) -> int:
+    return -(-weights // _LANES) * _LANES
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -191,37 +192,28 @@ def _gather(
     stop: int,
     domain: Float32,
     kernel: Int32,
-    blocks: Float32,
+    rows: Float32,
     frames: Int32,
     blurred: Float32,
 ) -> None:
     width = kernel.shape[1]
     channels = blurred.shape[1] // width
-    taps = _LANES // channels
-    total = np.empty(_LANES, np.float32)
+    total = np.empty(rows.shape[2], np.float32)
     for row in range(start, stop):
         for column in range(width):
             index = kernel[row, column]
             top, bottom, left, used = frames[index]
-            total[:] = 0
-            for block in range(used):
-                weight = blocks[index, block]
-                at = (column + left + block * taps) * channels
-                # Three rows at once: the totals stay in registers for longer.
-                for i in range(top, bottom - 2, 3):
-                    for lane in range(_LANES):
-                        total[lane] += (
-                            weight[i, lane] * domain[row + i, at + lane]
-                            + weight[i + 1, lane] * domain[row + i + 1, at + lane]
-                            + weight[i + 2, lane] * domain[row + i + 2, at + lane]
-                        )
-                for i in range(bottom - (bottom - top) % 3, bottom):
-                    for lane in range(_LANES):
-                        total[lane] += weight[i, lane] * domain[row + i, at + lane]
+            at = (column + left) * channels
+            total[:used] = 0
+            # Slices, as the compiler makes vectors only of places that it sees to be in a row.
+            for i in range(top, bottom):
+                seen, weight = domain[row + i, at : at + used], rows[index, i]
+                for lane in range(used):
+                    total[lane] += weight[lane] * seen[lane]
             for channel in range(channels):
                 value = np.float32(0)
-                for tap in range(taps):
-                    value += total[tap * channels + channel]
+                for lane in range(channel, used, channels):
+                    value += total[lane]
                 blurred[row, column * channels + channel] = value
 
 
@@ -233,26 +225,24 @@ def _spread(
     thick: int,
     picture: Float32,
     kernel: Int32,
-    blocks: Float32,
+    rows: Float32,
     frames: Int32,
     domain: Float32,
 ) -> None:
     height, width = kernel.shape
     channels = picture.shape[1] // width
-    taps = _LANES // channels
-    value = np.empty(_LANES, np.float32)
+    value = np.empty(rows.shape[2], np.float32)
     for pair in range(start, stop):
         first = (2 * pair + parity) * thick
         for row in range(first, min(first + thick, height)):
             for column in range(width):
                 index = kernel[row, column]
                 top, bottom, left, used = frames[index]
-                for tap in range(taps):
-                    for channel in range(channels):
-                        value[tap * channels + channel] = picture[row, column * channels + channel]
-                for block in range(used):
-                    weight = blocks[index, block]
-                    at = (column + left + block * taps) * channels
-                    for i in range(top, bottom):
-                        for lane in range(_LANES):
-                            domain[row + i, at + lane] += weight[i, lane] * value[lane]
+                at = (column + left) * channels
+                for channel in range(channels):
+                    for lane in range(channel, used, channels):
+                        value[lane] = picture[row, column * channels + channel]
+                for i in range(top, bottom):
+                    spread, weight = domain[row + i, at : at + used], rows[index, i]
+                    for lane in range(used):
+                        spread[lane] += weight[lane] * value[lane]
