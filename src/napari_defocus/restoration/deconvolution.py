@@ -140,6 +140,9 @@ _LEAST_SHARE, _UNCHANGED = 0.5, 0.95
 hand.
 """
 
+_WIDE = 12.0
+"""px: scale from which on Fourier transforms of tiles are faster than sums (docs/decisions.md)."""
+
 _PRECONDITIONED_TV = 15.0
 """The constant IRLS weight c that the preconditioner assumes for the TV: that of a gradient of 1/30
 of the contrast. Chosen by hand.
@@ -312,7 +315,7 @@ class Deconvolution:
         return power
 
     def _blur_by(self, scales: Float32) -> None:
-        self._blur = BlurOperator(scales, self._psf, self._color.shape[2])
+        self._blur = BlurOperator(scales, self._psf, self._color.shape[2], _WIDE)
         self._weight = self._weights(scales)
         weight, regularization = self._weight[..., 0], _PRECONDITIONED_TV * self._tv_weight
         self._preconditioner = TiledPreconditioner(
