@@ -82,7 +82,9 @@ def test_wide_blur_is_that_of_the_sums(psf, channels, drawn):
 def test_wide_blur_of_one_scale_loses_no_light():
     scales = np.full((70, 90), 17.0, np.float32)
     blur = BlurOperator(scales, Disc(), 1, 12.0)
-    np.testing.assert_allclose(blur.apply(blur.extend(np.ones((70, 90, 1), np.float32))), 1, atol=1e-5)
+    np.testing.assert_allclose(
+        blur.apply(blur.extend(np.ones((70, 90, 1), np.float32))), 1, atol=1e-5
+    )
     assert blur.adjoint(np.ones((70, 90, 1), np.float32)).sum() == pytest.approx(70 * 90, rel=1e-5)
 
 

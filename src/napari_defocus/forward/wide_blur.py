@@ -35,7 +35,7 @@ _KERNELS_A_TILE = 3
 
 @dataclass(frozen=True)
 class _Tile:
-    """Where a tile's pixels lie in the picture, its nodes, and which of them is below each pixel."""
+    """Where the pixels of a tile lie, its nodes, and which of them is below each pixel."""
 
     pixels: tuple[slice, slice]
     nodes: list[int]
@@ -115,9 +115,7 @@ class WideBlur:
     ) -> None:
         for tile in self._tiles(range(2 * start + parity, 2 * stop, 2)):
             part = np.moveaxis(picture[tile.pixels], 2, 0)
-            nodes = np.zeros(
-                (len(tile.nodes), len(part), self._length, self._length), np.float32
-            )
+            nodes = np.zeros((len(tile.nodes), len(part), self._length, self._length), np.float32)
             within = nodes[..., : part.shape[1], : part.shape[2]]
             for above, mixture in enumerate(self._mixture):
                 of_pixel = tile.below[None, None] + above
