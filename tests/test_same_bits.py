@@ -48,6 +48,7 @@ kernels = np.stack([np.pad(Disc().kernel(1), 3), Disc().kernel(4)])
 corner = seen[:60, :60]
 show(
     all_in_focus=restore_all_in_focus(seen, safe, confidence=confidence),
+    of_wide_blur=restore_all_in_focus(seen, 3 * radius),
     measured_lens=estimate_candidates(corner, psf=MeasuredPSF([1, 4], kernels)).curve,
     other_family=estimate_candidates(corner, psf=GeneralizedGaussian(4.0, 3.0)).curve,
 )

@@ -1,10 +1,11 @@
 import dask.array as da
 import numpy as np
 import pytest
+from skimage.data import camera
 
 from napari_defocus import restore_all_in_focus, simulate_defocus
 from napari_defocus.restoration import all_in_focus
-from napari_defocus.restoration.damage import unrestored_share
+from napari_defocus.restoration.damage import unexplained_share, unrestored_share
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +62,27 @@ def test_only_the_surroundings_of_impossible_values_are_left():
     left = unrestored_share(restored, np.full((200, 200), 3.0, np.float32), 1.0)
     assert left[50, 50] > 0.95
     assert left[100:].max() < 0.01
+
+
+def test_where_ripples_say_that_the_radius_is_wrong_is_left_and_the_rest_is_restored():
+    """A sharp half that passes for blurred, under noise that would hide a misfit."""
+    sharp = camera()[60:220, 150:330].astype(np.float32) / 255
+    radii = np.full(sharp.shape, 8.0)
+    radii[:, 90:] = 2.0
+    seen = simulate_defocus(sharp, radii, noise_variance=3e-5, rng=0)
+    wrong, sure = np.full(sharp.shape, 8.0), np.full(sharp.shape, 0.9)
+    _, fit = restore_all_in_focus(seen, wrong, confidence=sure, return_fit=True)
+    assert fit.left_as_it_was[:, 110:].mean() > 0.6
+    assert fit.left_as_it_was[:, :60].mean() < 0.01
+    _, fit = restore_all_in_focus(seen, radii, confidence=sure, return_fit=True)
+    assert fit.unrestored < 0.01
+
+
+def test_noise_is_no_ripple():
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0, 0.02, (100, 100, 3)).astype(np.float32)
+    left = unexplained_share(noise, 0.5 + noise, 4e-4, 1.0)
+    assert left.mean() < 0.05
+    waves = 0.5 + 0.1 * np.sin(np.arange(100, dtype=np.float32) / 2)[:, None, None] + noise
+    rings = np.float32(0.5) * (waves - 0.5)
+    assert unexplained_share(rings, waves, 4e-4, 1.0).mean() > 0.9

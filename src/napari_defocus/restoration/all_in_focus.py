@@ -29,7 +29,7 @@ from napari_defocus.core.threads import thread_count
 from napari_defocus.forward.blur_operator import checked_scales
 from napari_defocus.likelihood.noise import PROCESSING_VARIANCE, noise_variance_of
 from napari_defocus.psf.families import PSFFamily, as_family
-from napari_defocus.restoration.damage import unrestored_share
+from napari_defocus.restoration.damage import unexplained_share, unrestored_share
 from napari_defocus.restoration.deconvolution import Deconvolution
 from napari_defocus.settings import MapSettings, RestorationSettings
 
@@ -61,8 +61,8 @@ class RestorationFit:
         with a variance of 2e-5 or more, for a contrast of 1, would hide a misfit: then it is
         assumed.
     left_as_it_was : (H, W) float32 ndarray
-        How far each pixel was left as it was, from 0 to 1: rings beyond black and white say that
-        the radii there are wrong.
+        How far each pixel was left as it was, from 0 to 1: rings beyond black and white, or
+        ripples in what is not explained, say that the radii there are wrong.
     """
 
     noise_variance: float
@@ -178,7 +178,11 @@ class Restoration:
                 hides_misfit=noise_variance >= PROCESSING_VARIANCE * picture.intensities.unit**2,
             )
             sharp = problem.solve(scales, progress)
-        left = unrestored_share(sharp, scales, picture.intensities.unit)
+        contrast = picture.intensities.unit
+        left = unrestored_share(sharp, scales, contrast)
+        if problem.left_over is not None:
+            ripples = unexplained_share(problem.left_over, picture.color, of_channel, contrast)
+            left = np.maximum(left, ripples)
         sharp += left[..., None] * (picture.color - sharp)
         sharp = np.clip(sharp, 0, 1)
         fit = RestorationFit(

@@ -3,6 +3,10 @@
 A radius that is too large makes rings. Rings of bright things reach below black, those of dark
 things above white, where no light can be. Natural details do so only here and there: of six real
 scenes up to 1 % of the pixels, of a photograph with wrong radii a quarter.
+
+A lens, a radius or a depth edge that is not as the model says makes ripples in what the restored
+picture, blurred again, leaves of the given one. Where they are strong beside the details of the
+given picture, those of the restored one are invented.
 """
 
 from __future__ import annotations
@@ -25,6 +29,21 @@ By hand, on six real scenes (docs/decisions.md) and on a photograph."""
 
 _WIDE = 10.0
 """px: radius from which blur is wide, and its rings far apart."""
+
+_NOT_NOISE = 1.5
+"""px: standard deviation of the Gaussian that takes noise and fine texture from what is left, and
+leaves ripples. Chosen by hand."""
+
+_DETAILS = 12.0
+"""px: standard deviation of the Gaussian over which ripples and details are averaged
+(docs/decisions.md)."""
+
+_FLAT = np.float32(1e-6)
+"""Variance, in units of the squared contrast, below which there are no details. By hand."""
+
+_RIPPLES = (0.1, 0.2)
+"""Ripples as a share of the details, up to which a place is restored, and from which it is left
+(docs/decisions.md)."""
 
 _SOFT = 4.0
 """px: standard deviation of the Gaussian by which one goes over into the other."""
@@ -55,3 +74,32 @@ def unrestored_share(sharp: Float32, scales: Float32, contrast: float) -> Float3
 
 def _rise(share: Float32, low: float, high: float) -> Float32:
     return np.clip((share - np.float32(low)) / np.float32(high - low), 0, 1)
+
+
+def unexplained_share(
+    left_over: Float32, color: Float32, noise_variance: float, contrast: float
+) -> Float32:
+    """Return how far each place is left because it is not explained: (H, W) from 0 to 1.
+
+    Parameters
+    ----------
+    left_over : (H, W, C) float32 ndarray
+        The given picture less the restored one, blurred again.
+    color : (H, W, C) float32 ndarray
+        The given picture.
+    noise_variance : float
+        Of a channel.
+    contrast : float
+        Of the picture.
+    """
+    ripples = _around(_around(left_over, _NOT_NOISE) ** 2, _DETAILS).mean(axis=2)
+    # White noise keeps so much of its variance.
+    noise = np.float32(noise_variance / (4 * np.pi * _NOT_NOISE**2))
+    details = (_around(color**2, _DETAILS) - _around(color, _DETAILS) ** 2).mean(axis=2)
+    flat = _FLAT * np.float32(contrast**2) + noise
+    share = np.sqrt(np.maximum(ripples - noise, 0) / np.maximum(details, flat))
+    return np.asarray(gaussian_filter(_rise(share, *_RIPPLES), _SOFT), np.float32)
+
+
+def _around(picture: Float32, sigma: float) -> Float32:
+    return np.asarray(gaussian_filter(picture, (sigma, sigma, 0)), np.float32)

@@ -140,6 +140,9 @@ _LEAST_SHARE, _UNCHANGED = 0.5, 0.95
 hand.
 """
 
+_WIDE = 12.0
+"""px: scale from which on Fourier transforms of tiles are faster than sums (docs/decisions.md)."""
+
 _PRECONDITIONED_TV = 15.0
 """The constant IRLS weight c that the preconditioner assumes for the TV: that of a gradient of 1/30
 of the contrast. Chosen by hand.
@@ -170,6 +173,9 @@ class Deconvolution:
     misfit : float
         Variance of what lens and map do not explain, in units of the squared intensity; 0 if
         the picture fits. Known after `solve`.
+    left_over : (H, W, C) float32 ndarray or None
+        What the restored picture, blurred again, leaves of the given one, if that does not fit.
+        Known after `solve`.
     """
 
     def __init__(
@@ -196,6 +202,7 @@ class Deconvolution:
         self._clipped = clipped if clipped.any() else None
         self._follows_misfit, self._hides_misfit = follows_misfit, hides_misfit
         self._misfit_variance = 0.0
+        self.left_over: Float32 | None = None
 
     @property
     def misfit(self) -> float:
@@ -262,7 +269,7 @@ class Deconvolution:
             self._tv_weight += _TV_OF_MISFIT * self._misfit_variance
         noise = self._noise_variance - self._misfit_variance
         deviations = (0.0,) if self._sure is None else _LOWERED
-        sharp = np.zeros_like(self._color)
+        sharp, left_over = np.zeros_like(self._color), np.zeros_like(self._color)
         whole = _STEPS_A_ROUND * _MISFIT_ROUNDS * len(deviations)
         probed = (_PROBED_AFTER + 1) / _USUAL_ROUNDS
         for number, lowered in enumerate(deviations):
@@ -274,8 +281,11 @@ class Deconvolution:
                     done = probed + (1 - probed) * (start + step) / whole
                     progress("Taking less blur away: the lens or the map may not fit", done)
                 epsilon = max(epsilon / 2, _LEAST_EPSILON)
-            sharp += one[self._blur.inner] + share * self._texture(one, noise)
+            error = self._error(one)
+            sharp += one[self._blur.inner] + share * _texture(error, noise)
+            left_over += error
         sharp /= np.float32(len(deviations))
+        self.left_over = left_over * np.float32(share * self._unit / len(deviations))
         return sharp
 
     def _lowered(self, scales: Float32, deviations: float) -> Float32:
@@ -289,15 +299,14 @@ class Deconvolution:
         deviation = np.minimum(_TOLERATED / (np.sqrt(2) * within), _LARGEST_DEVIATION)
         return np.maximum(scales - deviations * deviation, 0).astype(np.float32)
 
-    def _texture(self, sharp: Float32, noise: float) -> Float32:
-        """Return what f does not explain, less the share of it that is noise."""
+    def _error(self, sharp: Float32) -> Float32:
+        """Return g - A f, where light is known."""
         error = self._color - self._blur.apply(sharp)
         if self._clipped is not None:
             error[self._clipped & (error < 0)] = 0
         if self._opaque is not None:
             error *= self._opaque[..., None]
-        power = max(float(np.mean(error**2, dtype=np.float64)), noise)
-        return error * np.float32(1 - noise / power)
+        return error
 
     def _residual_power(self, sharp: Float32) -> Float32:
         """Return the local power of g - A f, (H, W), where light is not clipped."""
@@ -312,7 +321,7 @@ class Deconvolution:
         return power
 
     def _blur_by(self, scales: Float32) -> None:
-        self._blur = BlurOperator(scales, self._psf, self._color.shape[2])
+        self._blur = BlurOperator(scales, self._psf, self._color.shape[2], _WIDE)
         self._weight = self._weights(scales)
         weight, regularization = self._weight[..., 0], _PRECONDITIONED_TV * self._tv_weight
         self._preconditioner = TiledPreconditioner(
@@ -393,6 +402,12 @@ class Deconvolution:
 def _inner(a: Float32, b: Float32) -> float:
     """Return the sum of products, in one order: `numpy.vdot` has one for each processor."""
     return float(np.sum(a * b, dtype=np.float64))
+
+
+def _texture(error: Float32, noise: float) -> Float32:
+    """Return what f does not explain, less the share of it that is noise."""
+    power = max(float(np.mean(error**2, dtype=np.float64)), noise)
+    return error * np.float32(1 - noise / power)
 
 
 def _laplacian(color: Float32) -> Float32:
