@@ -25,7 +25,7 @@ from napari_defocus.stacks.exposure import (
     squares_of,
 )
 from napari_defocus.stacks.planes import StackPlanes
-from napari_defocus.stacks.registration import Motion, alignment_of, motion_between
+from napari_defocus.stacks.registration import Details, Motion, alignment_of, motion_between
 
 Float32 = NDArray[np.float32]
 Align = Literal["auto"] | bool | StackAlignment
@@ -44,6 +44,9 @@ do not move measure up to 0.3 px at their ends.
 
 _MOST_UNCERTAINTY = 1.0
 """px: less certain alignments do not count. Chosen by hand."""
+
+_EVENLY = 1
+"""Order of the splines that move a plane to compare means over squares."""
 
 _SPLINE_REACH = 2
 """px around unknown pixels that splines spoil."""
@@ -235,22 +238,23 @@ def _measured(
     pairs: list[Squares] = []
     darkest = np.inf
     white = _white(planes.dtype)
-    before = None
+    asked = given is None and bool(align)
+    before: Float32 | None = None
+    details: Details | None = None
     for number in range(len(planes)):
         progress(MEASURING, number / len(planes))
         plane = _luminance(planes.read(number))
         darkest = min(darkest, _darkest(plane))
         if given is not None:
-            plane = given.aligned(plane, number)
+            plane = given.aligned(plane, number, _EVENLY)
+        shown, details = details, Details.of(plane) if asked else None
+        laid = plane
+        if shown is not None and details is not None:
+            motion = motion_between(shown, details)
+            motions.append(motion)
+            laid = moved(plane, motion.factor, motion.shift, _EVENLY)
         if before is not None:
-            motion = Motion()
-            if given is None and align:
-                motion = motion_between(before, plane)
-                motions.append(motion)
-                plane_on_it = moved(plane, motion.factor, motion.shift)
-            else:
-                plane_on_it = plane
-            pairs.append(squares_of(before, plane_on_it, white))
+            pairs.append(squares_of(before, laid, white))
         before = plane
     exposure = exposure_of(pairs, darkest if np.isfinite(darkest) else 0.0)
     if not motions:
