@@ -33,11 +33,12 @@ from napari_defocus.stacks.composites import put_together
 from napari_defocus.stacks.contrast_peaks import Peak, check_peak, one_peak
 from napari_defocus.stacks.depth_from_focus import RingBank, StackPower, heard_where
 from napari_defocus.stacks.focus_labels import FocusCostVolume, focus_measure
-from napari_defocus.stacks.fusion import Most, Shares, levels_for
 from napari_defocus.stacks.halos import spread_light
 from napari_defocus.stacks.matched_planes import Align, Match, check_align, check_match, matched
 from napari_defocus.stacks.plane_reader import PlaneReader
+from napari_defocus.stacks.plane_weights import Shares
 from napari_defocus.stacks.planes import StackPlanes
+from napari_defocus.stacks.shown_detail import ShownDetail
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -189,7 +190,7 @@ def sharpest_plane(
     coherent as a blur map is, see `label_blur_map`, and jump at the picture's edges. Where there is
     no texture, they come from around.
 
-    Planes are read one at a time, four to six times each, and never all at once.
+    Planes are read one at a time, three to five times each, and never all at once.
 
     Parameters
     ----------
@@ -299,7 +300,7 @@ def sharpest_plane(
     height, width = planes.shape[:2]
     bank = RingBank.over((height, width), psf, window, stride)
     coarse = RingBank.over((height, width), psf, max(window, _RATE_WINDOW), _RATE_STRIDE)
-    (power, wide), color, energy, intensities = _read_planes(
+    (power, wide), color, shown, intensities = _read_planes(
         read, (bank, coarse), noise_variance, within(progress, 0.2, 0.45)
     )
     unit = intensities.unit
@@ -330,7 +331,7 @@ def sharpest_plane(
     progress("Measuring the confidence", 0.85)
     confidence = volume.confidence(position)
     plane = np.rint(position).astype(np.int32)
-    shares = Shares(len(planes), usable, psf, power.noise_variance, energy) if blend else None
+    shares = Shares(len(planes), usable, psf, power.noise_variance, shown) if blend else None
     return SharpestPlane(
         position=position,
         plane=plane,
@@ -371,18 +372,19 @@ def _read_planes(
     banks: tuple[RingBank, ...],
     noise_variance: float | None,
     progress: Progress,
-) -> tuple[list[StackPower], Float32, list[Float32], Intensities]:
-    """Read all planes: their power, each pixel's colour where it has the most detail, energies."""
+) -> tuple[list[StackPower], Float32, ShownDetail, Intensities]:
+    """Read all planes: their power, each pixel's colour where it has the most detail, and more."""
     power: list[list[Float32]] = [[] for _ in banks]
-    shown: list[list[Float32]] = [[] for _ in banks]
+    shares: list[list[Float32]] = [[] for _ in banks]
     noise, brightness, darkness = [], [], []
     most, color = np.zeros((0, 0), np.float32), np.zeros((0, 0, 0), np.float32)
     planes = read.planes
-    energies = Most(levels_for(planes.shape))
+    shown = ShownDetail(planes.shape, len(planes))
     for number in range(len(planes)):
         progress("Reading the planes", number / len(planes))
-        picture = read(number)
-        for found, known, bank in zip(power, shown, banks, strict=True):
+        plane = planes.read(number)
+        picture = read.prepared(plane)
+        for found, known, bank in zip(power, shares, banks, strict=True):
             found.append(bank.power(picture.luminance, picture.opaque))
             known.append(bank.known_share(picture))
         if noise_variance is not None:
@@ -391,7 +393,7 @@ def _read_planes(
             noise.append(noise_variance_of(picture))
         brightness.append(float(picture.luminance.mean()))
         darkness.append(float(np.quantile(picture.luminance, _DARKEST)))
-        energies.see(picture.luminance)
+        shown.see(number, picture.luminance, planes.brightest(plane, number))
         detail = focus_measure(picture, _MEASURE_AREA)
         if number == 0:
             most, color = detail, picture.color.copy()
@@ -405,9 +407,9 @@ def _read_planes(
         gain = _gains(np.array(brightness) - min(darkness), intensities.contrast)
     powers = [
         StackPower.of(found, bank, variance, gain, heard_where(known), intensities.unit)
-        for found, known, bank in zip(power, shown, banks, strict=True)
+        for found, known, bank in zip(power, shares, banks, strict=True)
     ]
-    return powers, color, energies.energy, intensities
+    return powers, color, shown, intensities
 
 
 def _gains(brightness: Float64, contrast: float) -> Float64:

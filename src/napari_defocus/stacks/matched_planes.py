@@ -118,6 +118,20 @@ class MatchedPlanes:
         """Whether a plane is read between its pixels."""
         return self.alignment is not None and self.alignment.motion[number] > 0
 
+    def brightest(self, plane: NDArray[Any], number: int) -> Float32:
+        """Return the brightest colour of each pixel of a plane that was read, as it was given."""
+        values = np.ma.getdata(plane)
+        channels = values.reshape(*values.shape[:2], -1)[..., :3]
+        found: Float32 = channels.max(axis=2).astype(np.float32)
+        known = known_pixels(plane)
+        if known is not None:
+            found[~known] = found[known].min() if known.any() else 0
+        if self.exposure is not None and self._changes(number):
+            gain, offset = self.exposure.gain[number], self.exposure.offset
+            given = (found - np.float32(offset)) * np.float32(gain) + np.float32(offset)
+            found = np.where(found < _white(self.dtype), given, found)
+        return found
+
     def _changes(self, number: int) -> bool:
         return self.exposure is not None and self.exposure.gain[number] != 1
 
