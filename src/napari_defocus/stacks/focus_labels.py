@@ -180,6 +180,7 @@ class FocusCostVolume:
             change_at=self._change_of_measure(read, near, within(progress, 0.5, 0.8)),
             progress=within(progress, 0.8, 0.9),
         )
+        del data
         pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
         likeness = weights / np.maximum(smoothness * pairs, _TINY)
         fine = refine_curves(

@@ -108,6 +108,7 @@ def _add(
 def _filled(plane: NDArray[Any], known: NDArray[np.bool_] | None) -> Floating:
     """Return a plane as (H, W, C) of floats; unknown pixels have the nearest one's colour."""
     single = plane.dtype.itemsize <= 2 or plane.dtype == np.float32
-    values: Floating = np.ma.getdata(plane).astype(np.float32 if single else np.float64)
+    dtype = np.float32 if single else np.float64
+    values: Floating = np.ma.getdata(plane).astype(dtype, order="C", copy=False)
     values = values.reshape(*values.shape[:2], -1)
     return values if known is None else nearest_known(values, known)

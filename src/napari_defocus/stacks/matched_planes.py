@@ -121,8 +121,10 @@ class MatchedPlanes:
     def brightest(self, plane: NDArray[Any], number: int) -> Float32:
         """Return the brightest colour of each pixel of a plane that was read, as it was given."""
         values = np.ma.getdata(plane)
-        channels = values.reshape(*values.shape[:2], -1)[..., :3]
-        found: Float32 = channels.max(axis=2).astype(np.float32)
+        found = values if values.ndim == 2 else values[..., 0]
+        for channel in range(1, min(values.shape[2], 3) if values.ndim == 3 else 1):
+            found = np.maximum(found, values[..., channel])
+        found = found.astype(np.float32)
         known = known_pixels(plane)
         if known is not None:
             found[~known] = found[known].min() if known.any() else 0

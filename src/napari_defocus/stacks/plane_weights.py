@@ -142,8 +142,9 @@ class Weights:
     ----------
     position : (h, w) float32 ndarray
     energy, light : (Z, h / 2, w / 2) float32 ndarray
-        The energy of the details of each plane without the noise's, and its light as a share of
-        the range.
+        See `ShownDetail`.
+    noise, per_range : float32
+        The variance of the noise in this level, and 1 over the range of the light.
     clipped : (h, w) bool ndarray
         Near clipped light.
     lost : (P, Z) float32 ndarray
@@ -157,6 +158,8 @@ class Weights:
     position: Float32
     energy: Float32
     light: Float32
+    noise: np.float32
+    per_range: np.float32
     clipped: Mask
     lost: Float32
     best: Float32
@@ -181,13 +184,13 @@ class Weights:
         step = np.log(_RATIOS[1] / _RATIOS[0])
         column = np.log(np.maximum(ratio, _RATIOS[0]) / _RATIOS[0]) / step
         found = cls(
-            position, np.maximum(energy - np.float32(noise), 0), light * np.float32(per_range),
-            clipped, lost, *(np.empty_like(position) for _ in range(4)),
+            position, energy, light, np.float32(noise), np.float32(per_range), clipped, lost,
+            *(np.empty_like(position) for _ in range(4)),
         )  # fmt: skip
         in_bands(
-            _prepare, len(position), position, found.energy, found.light, clipped,
-            column.astype(np.float32), lost, best, fall, found.best, found.fall, found.most,
-            found.least, least=_LEAST_ROWS,
+            _prepare, len(position), position, energy, light, found.noise,
+            found.per_range, clipped, column.astype(np.float32), lost, best, fall, found.best,
+            found.fall, found.most, found.least, least=_LEAST_ROWS,
         )  # fmt: skip
         return found
 
@@ -196,8 +199,8 @@ class Weights:
         weight = np.empty_like(self.position)
         in_bands(
             _weigh, len(weight), number, self.position, self.energy[number], self.light[number],
-            self.clipped, self.lost, self.best, self.fall, self.most, self.least, weight,
-            least=_LEAST_ROWS,
+            self.noise, self.per_range, self.clipped, self.lost, self.best, self.fall, self.most,
+            self.least, weight, least=_LEAST_ROWS,
         )  # fmt: skip
         return weight
 
@@ -229,6 +232,8 @@ def _prepare(
     position: Float32,
     energy: Float32,
     light: Float32,
+    noise: np.float32,
+    per_range: np.float32,
     clipped: Mask,
     column: Float32,
     lost: Float32,
@@ -253,9 +258,9 @@ def _prepare(
             last_near = min(int(np.floor(position[y, x] + _NEAR)), len(energy) - 1)
             largest, smallest = np.float32(0), np.float32(np.inf)
             for plane in range(first_near, last_near + 1):
-                largest = max(largest, _between(energy[plane], y, x))
+                largest = max(largest, _between(energy[plane], y, x) - noise)
                 if clipped[y, x]:
-                    more = _along(lost, row, plane) + _between(light[plane], y, x)
+                    more = _along(lost, row, plane) + per_range * _between(light[plane], y, x)
                     smallest = min(smallest, more)
             most[y, x], least[y, x] = largest, smallest
 
@@ -268,6 +273,8 @@ def _weigh(
     position: Float32,
     energy: Float32,
     light: Float32,
+    noise: np.float32,
+    per_range: np.float32,
     clipped: Mask,
     lost: Float32,
     best: Float32,
@@ -283,11 +290,12 @@ def _weigh(
             near = abs(position[y, x] - np.float32(number)) <= _NEAR
             if clipped[y, x]:
                 if near:
-                    more += _between(light, y, x) - least[y, x]
+                    more += per_range * _between(light, y, x) - least[y, x]
             else:
                 shown = one
                 if most[y, x] > 0:
-                    shown = np.sqrt(_between(energy, y, x) / most[y, x])
+                    of_plane = max(_between(energy, y, x) - noise, zero)
+                    shown = np.sqrt(of_plane / most[y, x])
                 if near and shown >= one:
                     more = zero
                 elif near:
