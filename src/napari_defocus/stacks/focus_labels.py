@@ -24,6 +24,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.threads import in_one_thread
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
 from napari_defocus.labeling.continuous_refinement import refine_curves
 from napari_defocus.labeling.graph_cuts import Labels, Mask, Places, minimize_energy
@@ -183,10 +184,11 @@ class FocusCostVolume:
         del data
         pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
         likeness = weights / np.maximum(smoothness * pairs, _TINY)
-        fine = refine_curves(
-            -self.cost, labels, likeness, jump, stride=self.stride,
-            progress=within(progress, 0.9, 1.0),
-        )  # fmt: skip
+        with in_one_thread():  # two tiles at once would be most of the memory of a stack
+            fine = refine_curves(
+                -self.cost, labels, likeness, jump, stride=self.stride,
+                progress=within(progress, 0.9, 1.0),
+            )  # fmt: skip
         scale = interpolate_labels(fine, labels, pixels, blocks, jump)
         last = (self.cost.shape[2] - 1) / self.labels_a_plane
         return np.clip(scale / np.float32(LABEL_STEP * self.labels_a_plane), 0, np.float32(last))
