@@ -118,13 +118,15 @@ def best_focus(
     progress("Comparing the planes", 0.45)
     volume = _costs(powers[0], _usable(rate), size, stride, unit)
     del powers, peaks
-    position = volume.position(
+    labeled = volume.labeled(
         read,
         color if unit == 1 else color / np.float32(unit),
         smoothness=smoothness,
         color_sigma=color_sigma * intensities.contrast / unit,
-        progress=within(progress, 0.55, 0.95),
+        progress=within(progress, 0.55, 0.9),
     )
+    del color
+    position = volume.position(labeled, within(progress, 0.9, 0.95))
     progress("Measuring the confidence", 0.95)
     return BestFocus(
         position,
