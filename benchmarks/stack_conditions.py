@@ -31,7 +31,10 @@ EDGE = 16
 LEAST_MOTION = 0.1
 """px by which a composite may lie elsewhere and counts as in place: what noise makes of it."""
 
-AT_SPEED = "1 MP"
+SIZES = {"15 planes of 1 MP": (15, 1000, 1000), "10 planes of 3 MP": (10, 1500, 2000)}
+"""Stacks in colour whose seconds and memory are told."""
+
+COSTS = "seconds", "seconds on processors", "memory, MB"
 
 CONDITIONS = {
     "smooth depth": ("slanted", SMOOTH, {}),
@@ -44,14 +47,15 @@ CONDITIONS = {
 
 
 def report_peers(arguments: argparse.Namespace) -> None:
-    """Print PSNR in dB for each condition, then seconds and memory of a stack of 1 MP."""
+    """Print PSNR in dB for each condition, then seconds and memory of larger stacks."""
     stacks, sharp = simulated(arguments)
     tables: dict[str, dict[str, str]] = {name: {} for name in CONDITIONS}
-    tables |= {"seconds": {}, "memory, MB": {}}
+    for size in SIZES:
+        tables |= {f"{what}, {size}": {} for what in COSTS}
     for peer in arguments.only or PEERS:
         try:
             composites, _ = composited(peer, stacks)
-            _, told = composited(peer, {AT_SPEED: of_a_megapixel()})
+            costs = {size: costs_of(peer, size) for size in SIZES}
         except subprocess.CalledProcessError as error:
             told = (error.stderr or "nothing").strip().splitlines()[-1]
             print(f"{peer} failed: {told}", file=sys.stderr)
@@ -61,8 +65,9 @@ def report_peers(arguments: argparse.Namespace) -> None:
                 compared(composites[key], sharp[key]) for key in stacks if key.startswith(condition)
             ]
             tables[condition][peer] = f"{np.mean(found):.1f}"
-        tables["seconds"][peer] = f"{told['seconds'][AT_SPEED]:.1f}"
-        tables["memory, MB"][peer] = f"{told['megabytes']:.0f}"
+        for size, found in costs.items():
+            for what, cost in zip(COSTS, found, strict=True):
+                tables[f"{what}, {size}"][peer] = cost
         if arguments.look:
             look(arguments.look, peer, composites, sharp)
     print_table(tables)
@@ -103,6 +108,13 @@ def composited(
             return dict(held), json.loads(run.stdout.splitlines()[-1])
 
 
+def costs_of(peer: str, size: str) -> list[str]:
+    """Return seconds, those of all threads on processors, and MB beyond the stack that is given."""
+    _, told = composited(peer, {size: of_noise(*SIZES[size])})
+    memory = told["megabytes"] - told["before"]
+    return [f"{told['seconds'][size]:.1f}", f"{told['busy'][size]:.1f}", f"{memory:.0f}"]
+
+
 def compared(picture: np.ndarray, sharp: np.ndarray) -> float:
     """Return the PSNR after one factor of brightness, without the edge."""
     inner = np.s_[EDGE:-EDGE, EDGE:-EDGE]
@@ -135,21 +147,20 @@ def moved_onto(picture: np.ndarray, part: np.ndarray) -> np.ndarray:
     return shift(part, (*steps, 0), order=5, mode="nearest")
 
 
-def of_a_megapixel() -> np.ndarray:
-    """Return 15 planes of noise, blurred along a ramp of focus."""
-    side, count = 1000, 15
+def of_noise(count: int, height: int, width: int) -> np.ndarray:
+    """Return planes of noise, blurred along a ramp of focus: (count, height, width, 3) uint16."""
     rng = np.random.default_rng(0)
-    fine = gaussian_filter(rng.standard_normal((side, side)), 0.5)
-    focus = np.linspace(2, count - 3, side)
+    fine = gaussian_filter(rng.standard_normal((height, width)), 0.5)
+    focus = np.linspace(2, count - 3, width)
     blurred = np.stack([0.5 + 0.1 * gaussian_filter(fine, at / 2) for at in range(count)])
     away = np.rint(np.abs(np.arange(count)[:, None] - focus)).astype(int)
-    planes = blurred[away[:, None, :], np.arange(side)[:, None], np.arange(side)]
+    planes = blurred[away[:, None, :], np.arange(height)[:, None], np.arange(width)]
     values = np.rint(planes.clip(0, 1) * FULL).astype(np.uint16)
     return np.repeat(values[..., None], 3, axis=-1)
 
 
 def print_table(tables: dict[str, dict[str, str]]) -> None:
-    peers = list(tables["seconds"])
+    peers = list(next(iter(tables.values())))
     print(f"| | {' | '.join(peers)} |\n" + "|---" * (len(peers) + 1) + "|")
     for name, found in tables.items():
         print(f"| {name} | {' | '.join(found[peer] for peer in peers)} |")

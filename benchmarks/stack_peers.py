@@ -4,12 +4,14 @@
 
 STACKS.npz holds stacks, (Z, H, W, 3) uint16, by name; one whose name ends in "+move" has moved, and
 programs that do not find that out are told so. OUT.npz holds the composites. The seconds of each
-call and the largest memory of the process are printed as JSON. A peer that is not installed is left
+call, those of all its threads on processors, and the largest memory of the process before and after
+are printed as JSON. A peer that is not installed is left
 out of PEERS. focusstacker is none of them: it takes and writes JPEG alone.
 """
 
 import contextlib
 import json
+import os
 import sys
 import tempfile
 import time
@@ -34,11 +36,11 @@ FULL = 65535.0
 
 
 def ours(stack: np.ndarray, moved: bool) -> np.ndarray:
-    return sharpest_plane(stack / np.float32(FULL), axes="zyxs").composite
+    return sharpest_plane(stack, axes="zyxs").composite
 
 
 def ours_pixels(stack: np.ndarray, moved: bool) -> np.ndarray:
-    return sharpest_plane(stack / np.float32(FULL), axes="zyxs", blend=False).composite
+    return sharpest_plane(stack, axes="zyxs", blend=False).composite
 
 
 def middle_plane(stack: np.ndarray, moved: bool) -> np.ndarray:
@@ -150,15 +152,18 @@ if find_spec("fusion_methods"):
 
 def main() -> None:
     name, stacks, out = sys.argv[1:]
-    seconds, composites = {}, {}
+    seconds, busy, composites = {}, {}, {}
     with np.load(stacks) as held, contextlib.redirect_stdout(sys.stderr):
         for key in held.files:
             stack = held[key]
-            start = time.perf_counter()
+            before = megabytes()
+            start, work = time.perf_counter(), os.times()
             composites[key] = PEERS[name](stack, key.endswith("+move"))
             seconds[key] = time.perf_counter() - start
+            busy[key] = sum(os.times()[:4]) - sum(work[:4])
     np.savez(out, **composites)
-    print(json.dumps({"seconds": seconds, "megabytes": megabytes()}))
+    told = {"seconds": seconds, "busy": busy, "before": before, "megabytes": megabytes()}
+    print(json.dumps(told))
 
 
 if __name__ == "__main__":

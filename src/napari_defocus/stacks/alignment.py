@@ -279,6 +279,8 @@ def moved(
     Places are complex numbers from the plane's middle, rows the real part. NaN where it has none,
     and where it is NaN itself: splines would carry that through whole rows.
     """
+    if factor == 1 and shift == 0:
+        return values.copy()
     middle = (np.array(values.shape) - 1) / 2
     matrix = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
     offset = middle - (matrix * middle).sum(axis=1) + (shift.real, shift.imag)

@@ -15,10 +15,12 @@ from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import Disc, PSFFamily
 from napari_defocus.stacks.alignment import StackAlignment
-from napari_defocus.stacks.fusion import Most, Shares, blended, levels_for
+from napari_defocus.stacks.fusion import blended
 from napari_defocus.stacks.matched_planes import Align, Match, MatchedPlanes, check_match, matched
 from napari_defocus.stacks.plane_reader import PlaneReader
+from napari_defocus.stacks.plane_weights import Shares
 from napari_defocus.stacks.planes import StackPlanes
+from napari_defocus.stacks.shown_detail import ShownDetail
 
 Float32 = NDArray[np.float32]
 
@@ -29,11 +31,7 @@ def put_together(
     """Return the composite at positions: blended by shares, or of the nearest planes' pixels."""
     if shares is None:
         return pixels_of_planes(read.planes, position, progress)
-
-    def luminance(plane: NDArray[Any]) -> Float32:
-        return read.prepared(plane).luminance
-
-    return blended(read.planes.read, luminance, position, shares, progress)
+    return blended(read.planes.read, position, shares, progress)
 
 
 def pixels_of_planes(planes: MatchedPlanes, position: Float32, progress: Progress) -> NDArray[Any]:
@@ -73,7 +71,7 @@ def composite_at(
     """Put the planes of a stack together at positions that were found in another one.
 
     The stack may be another channel of the same scene, whose own texture would tell less. Planes
-    are read one at a time, three to five times each.
+    are read one at a time, two to four times each.
 
     Parameters
     ----------
@@ -154,12 +152,13 @@ def _shares_of(
 ) -> Shares:
     """Look at all planes for their details and their noise."""
     planes = read.planes
-    most, noise = Most(levels_for(planes.shape)), []
+    shown, noise = ShownDetail(planes.shape, len(planes)), []
     for number in range(len(planes)):
         progress("Reading the planes", number / len(planes))
-        picture = read(number)
-        most.see(picture.luminance)
+        plane = planes.read(number)
+        picture = read.prepared(plane)
+        shown.see(number, picture.luminance, planes.brightest(plane, number))
         if not planes.moves(number):
             noise.append(noise_variance_of(picture))
     variance = float(np.median(noise))
-    return Shares(len(planes), px_per_plane, psf, variance, most.energy)
+    return Shares(len(planes), px_per_plane, psf, variance, shown)

@@ -19,7 +19,7 @@ four numbers a window and plane, for windows of 17 px.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -124,6 +124,10 @@ class RingBank:
         blur = np.einsum("mf,fb->mb", table.value.sum(axis=1), members) / noise
         return cls(rows, columns, window, members, table.scales, blur, noise)
 
+    def room_for(self, planes: int) -> Float32:
+        """Return an array for the power of so many planes: (P, B, Z)."""
+        return np.empty((len(self.rows) * len(self.columns), len(self.noise), planes), np.float32)
+
     def power(self, luminance: Float32, opaque: Mask | None = None) -> Float32:
         """Return the local power of a plane in each ring, in units of noise: (R, C, B).
 
@@ -182,19 +186,24 @@ class StackPower:
     @classmethod
     def of(
         cls,
-        planes: list[Float32],
+        power: Float32,
         bank: RingBank,
         noise_variance: float,
         gain: Float64,
         heard: Mask,
         unit: float = 1.0,
     ) -> StackPower:
-        """Join what `RingBank.power` has found in each plane; `unit` is that of `Intensities`."""
+        """Take what `RingBank.power` has found in the planes, and divide it by the noise's.
+
+        `unit` is that of `Intensities`.
+        """
         variance = max(noise_variance, _LEAST_NOISE * unit**2)
-        power = np.empty((planes[0][..., 0].size, planes[0].shape[2], len(planes)), np.float32)
-        for number, plane in enumerate(planes):
-            power[..., number] = plane.reshape(len(power), -1) / np.float32(variance)
+        power /= np.float32(variance)
         return cls(power, bank, variance, gain, heard)
+
+    def at(self, windows: Mask) -> StackPower:
+        """Return that of some windows."""
+        return replace(self, power=self.power[windows], heard=self.heard[windows])
 
     def cost(self, positions: Float64, px_per_plane: float) -> Float32:
         """Return what a best focus at each position costs at each window: (P, L).

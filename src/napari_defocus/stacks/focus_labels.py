@@ -24,6 +24,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.threads import in_one_thread
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
 from napari_defocus.labeling.continuous_refinement import refine_curves
 from napari_defocus.labeling.graph_cuts import Labels, Mask, Places, minimize_energy
@@ -88,6 +89,25 @@ _ROUNDING, _TINY = 1e-4, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
+class LabeledFocus:
+    """The labels that were chosen for a stack.
+
+    Attributes
+    ----------
+    labels : (R, C) int32 ndarray
+        Of blocks.
+    pixels : (H, W) int32 ndarray
+        Of pixels.
+    likeness : (4, R, C) float32 ndarray
+        How alike neighbouring blocks are in colour: the weights (16) by those of one colour.
+    """
+
+    labels: Labels
+    pixels: Labels
+    likeness: Float32
+
+
+@dataclass(frozen=True, eq=False)
 class FocusCostVolume:
     """What each position of best focus costs at each window of a stack.
 
@@ -114,7 +134,7 @@ class FocusCostVolume:
     stride: int
     unit: float = 1.0
 
-    @cached_property
+    @property
     def _limited(self) -> Float32:
         return np.minimum(self.cost - self.cost.min(axis=2, keepdims=True), _DEPTH)
 
@@ -133,7 +153,7 @@ class FocusCostVolume:
         seen = 1 - np.exp(-((rise / _CLEAR_EXCESS) ** _STEEPNESS))
         return informed_share(np.ptp(self._averaged, axis=2)) * seen.astype(np.float32)
 
-    def position(
+    def labeled(
         self,
         read: ReadPlane,
         color: Float32,
@@ -141,8 +161,8 @@ class FocusCostVolume:
         smoothness: float,
         color_sigma: float,
         progress: Progress = silent,
-    ) -> Float32:
-        """Find the position of best focus of every pixel.
+    ) -> LabeledFocus:
+        """Choose the label of every pixel.
 
         Parameters
         ----------
@@ -156,14 +176,13 @@ class FocusCostVolume:
 
         Returns
         -------
-        (H, W) float32 ndarray
-            In planes from the first.
+        LabeledFocus
         """
-        blocks, jump = self.blocks, max(2, self.labels_a_plane)
+        blocks = self.blocks
         data = CURVE_WEIGHT * self._limited * self.informed[..., None]
         weights = blocks.edge_weights(color, color_sigma, smoothness)
         labels = minimize_energy(
-            data * blocks.area[..., None], weights, within(progress, 0, 0.5, "Choosing planes")
+            data * blocks.area[..., None], weights, within(progress, 0, 0.55, "Choosing planes")
         )
         reach = 2 * (-(-REACH // self.stride)) + 1
         spread = maximum_filter(labels, reach) - minimum_filter(labels, reach)
@@ -175,20 +194,31 @@ class FocusCostVolume:
             color,
             smoothness=_PIXEL_SMOOTHNESS * smoothness,
             color_sigma=color_sigma,
-            jump=jump,
+            jump=self._jump,
             reach=REACH,
-            change_at=self._change_of_measure(read, near, within(progress, 0.5, 0.8)),
-            progress=within(progress, 0.8, 0.9),
-        )
-        pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
-        likeness = weights / np.maximum(smoothness * pairs, _TINY)
-        fine = refine_curves(
-            -self.cost, labels, likeness, jump, stride=self.stride,
+            change_at=self._change_of_measure(read, near, within(progress, 0.55, 0.9)),
             progress=within(progress, 0.9, 1.0),
-        )  # fmt: skip
-        scale = interpolate_labels(fine, labels, pixels, blocks, jump)
+        )
+        pairs = blocks.edge_weights(np.zeros_like(color[..., :1]), color_sigma, 1.0)
+        return LabeledFocus(labels, pixels, weights / np.maximum(smoothness * pairs, _TINY))
+
+    def position(self, labeled: LabeledFocus, progress: Progress = silent) -> Float32:
+        """Find the position of best focus of every pixel, between labels: (H, W).
+
+        In planes from the first.
+        """
+        with in_one_thread():  # two tiles at once would be most of the memory of a stack
+            fine = refine_curves(
+                -self.cost, labeled.labels, labeled.likeness, self._jump, stride=self.stride,
+                progress=progress,
+            )  # fmt: skip
+        scale = interpolate_labels(fine, labeled.labels, labeled.pixels, self.blocks, self._jump)
         last = (self.cost.shape[2] - 1) / self.labels_a_plane
         return np.clip(scale / np.float32(LABEL_STEP * self.labels_a_plane), 0, np.float32(last))
+
+    @property
+    def _jump(self) -> int:
+        return max(2, self.labels_a_plane)
 
     def _change_of_measure(
         self, read: ReadPlane, near: Mask, progress: Progress

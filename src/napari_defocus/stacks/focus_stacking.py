@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,20 +23,16 @@ from napari_defocus.core.checks import (
 from napari_defocus.core.image import checked_range
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.exact_spectra import within_window
-from napari_defocus.likelihood.noise import noise_variance_of
 from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
 from napari_defocus.settings import MapSettings
 from napari_defocus.stacks.alignment import StackAlignment
+from napari_defocus.stacks.best_focus import best_focus
 from napari_defocus.stacks.composites import put_together
-from napari_defocus.stacks.contrast_peaks import Peak, check_peak, one_peak
-from napari_defocus.stacks.depth_from_focus import RingBank, StackPower, heard_where
-from napari_defocus.stacks.focus_labels import FocusCostVolume, focus_measure
-from napari_defocus.stacks.fusion import Most, Shares, levels_for
-from napari_defocus.stacks.halos import spread_light
+from napari_defocus.stacks.contrast_peaks import Peak, check_peak
 from napari_defocus.stacks.matched_planes import Align, Match, check_align, check_match, matched
 from napari_defocus.stacks.plane_reader import PlaneReader
+from napari_defocus.stacks.plane_weights import Shares
 from napari_defocus.stacks.planes import StackPlanes
 
 Float32 = NDArray[np.float32]
@@ -47,32 +43,8 @@ WINDOW = 17
 By hand.
 """
 
-_RATE_WINDOW, _RATE_STRIDE = 33, 8
-"""px. It is larger, because how fast the blur grows follows from its width, which needs resolution
-in frequency. Chosen by hand.
-"""
-
-_LABELS_A_PLANE, _PX_A_LABEL = 4, 0.125
-"""Labels from plane to plane at most, and px of blur from label to label at least. By hand."""
-
-_ASSUMED_RATE = 1.0
-"""px a plane that are assumed where no texture tells it. Chosen by hand."""
-
-_MEASURE_AREA = 2.0
-"""px: standard deviation of the Gaussian over which the focus measure is averaged, for the colours
-of the sharpest plane. Chosen by hand.
-"""
-
-_LEAST_BRIGHTNESS, _LARGEST_DRIFT = 0.01, 2.0
-"""Planes are compared in brightness if their mean is so much above the darkest places, in units of
-the contrast; and the largest factor between them. Chosen by hand.
-"""
-
 _FEW_PEAKS = 0.005
 """Share of the picture: two peaks on less of it are not mentioned. Chosen by hand."""
-
-_DARKEST = 0.001
-"""Quantile of a plane that counts as dark. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -189,7 +161,7 @@ def sharpest_plane(
     coherent as a blur map is, see `label_blur_map`, and jump at the picture's edges. Where there is
     no texture, they come from around.
 
-    Planes are read one at a time, four to six times each, and never all at once.
+    Planes are read one at a time, three to five times each, and never all at once.
 
     Parameters
     ----------
@@ -296,54 +268,35 @@ def sharpest_plane(
     checked_range(intensity_range)
     planes = matched(whole, align, match_brightness, within(progress, 0.0, 0.2))
     read = PlaneReader.of(planes, intensity_range, linearize)
-    height, width = planes.shape[:2]
-    bank = RingBank.over((height, width), psf, window, stride)
-    coarse = RingBank.over((height, width), psf, max(window, _RATE_WINDOW), _RATE_STRIDE)
-    (power, wide), color, energy, intensities = _read_planes(
-        read, (bank, coarse), noise_variance, within(progress, 0.2, 0.45)
-    )
-    unit = intensities.unit
-    progress("Finding the blur from plane to plane", 0.45)
-    (power, two), (wide, _) = (one_peak(each, peak) for each in (power, wide))
-    if px_per_plane is None:
-        # What a window mixes, in scale or in frequency, makes the blur seem to grow slower.
-        rate = float(np.fmax(power.px_per_plane(), wide.px_per_plane()))
-    else:
-        rate = float(px_per_plane)
-    usable = rate if math.isfinite(rate) else _ASSUMED_RATE
-    progress("Comparing the planes", 0.5)
-    labels_a_plane = int(np.clip(usable / _PX_A_LABEL, 1, _LABELS_A_PLANE))
-    positions = np.arange((len(planes) - 1) * labels_a_plane + 1) / labels_a_plane
-    own = positions[power.cost(positions, usable).argmin(axis=1)]
-    power = replace(power, heard=power.heard & ~spread_light(power, own, usable))
-    cost = power.cost(positions, usable).reshape(len(bank.rows), len(bank.columns), -1)
-    blocks = Blocks.around(bank.rows, bank.columns, (height, width))
-    excess = power.excess().reshape(cost.shape[:2])
-    volume = FocusCostVolume(cost, excess, labels_a_plane, blocks, stride, unit)
-    position = volume.position(
+    focus = best_focus(
         read,
-        color if unit == 1 else color / np.float32(unit),
+        psf=psf,
+        window=window,
+        stride=stride,
+        noise_variance=noise_variance,
+        px_per_plane=px_per_plane,
+        peak=peak,
         smoothness=smoothness,
-        color_sigma=color_sigma * intensities.contrast / unit,
-        progress=within(progress, 0.6, 0.85),
+        color_sigma=color_sigma,
+        progress=within(progress, 0.2, 0.9),
     )
-    progress("Measuring the confidence", 0.85)
-    confidence = volume.confidence(position)
-    plane = np.rint(position).astype(np.int32)
-    shares = Shares(len(planes), usable, psf, power.noise_variance, energy) if blend else None
+    plane = np.rint(focus.position).astype(np.int32)
+    shares = None
+    if blend:
+        shares = Shares(len(planes), focus.usable_rate, psf, focus.noise_variance, focus.shown)
     return SharpestPlane(
-        position=position,
+        position=focus.position,
         plane=plane,
-        composite=put_together(read, position, shares, within(progress, 0.9, 1.0)),
-        confidence=confidence,
+        composite=put_together(read, focus.position, shares, within(progress, 0.9, 1.0)),
+        confidence=focus.confidence,
         share_of_plane=np.bincount(plane.ravel(), minlength=len(planes)) / plane.size,
-        px_per_plane=rate,
-        noise_variance=power.noise_variance,
-        intensities=intensities,
+        px_per_plane=focus.px_per_plane,
+        noise_variance=focus.noise_variance,
+        intensities=focus.intensities,
         alignment=planes.alignment,
         gain=np.ones(len(planes)) if planes.exposure is None else planes.exposure.gain,
-        two_peaks=blocks.spread(two.reshape(cost.shape[:2])),
-        notes=planes.notes + _told_peaks(float(two.mean()), peak),
+        two_peaks=focus.two_peaks,
+        notes=planes.notes + _told_peaks(focus.share_of_two_peaks, peak),
     )
 
 
@@ -364,61 +317,3 @@ def _check_settings(
         )
     check_noise_variance(noise_variance)
     check_stride(stride, window)
-
-
-def _read_planes(
-    read: PlaneReader,
-    banks: tuple[RingBank, ...],
-    noise_variance: float | None,
-    progress: Progress,
-) -> tuple[list[StackPower], Float32, list[Float32], Intensities]:
-    """Read all planes: their power, each pixel's colour where it has the most detail, energies."""
-    power: list[list[Float32]] = [[] for _ in banks]
-    shown: list[list[Float32]] = [[] for _ in banks]
-    noise, brightness, darkness = [], [], []
-    most, color = np.zeros((0, 0), np.float32), np.zeros((0, 0, 0), np.float32)
-    planes = read.planes
-    energies = Most(levels_for(planes.shape))
-    for number in range(len(planes)):
-        progress("Reading the planes", number / len(planes))
-        picture = read(number)
-        for found, known, bank in zip(power, shown, banks, strict=True):
-            found.append(bank.power(picture.luminance, picture.opaque))
-            known.append(bank.known_share(picture))
-        if noise_variance is not None:
-            noise.append(noise_variance)
-        elif not planes.moves(number):  # splines between pixels average noise
-            noise.append(noise_variance_of(picture))
-        brightness.append(float(picture.luminance.mean()))
-        darkness.append(float(np.quantile(picture.luminance, _DARKEST)))
-        energies.see(picture.luminance)
-        detail = focus_measure(picture, _MEASURE_AREA)
-        if number == 0:
-            most, color = detail, picture.color.copy()
-        else:
-            sharper = detail > most
-            color[sharper], most[sharper] = picture.color[sharper], detail[sharper]
-    variance = float(np.median(noise))
-    intensities = picture.intensities.with_contrast_of(color).above_noise(variance)
-    gain = np.ones(len(planes))
-    if not planes.evenly_lit:
-        gain = _gains(np.array(brightness) - min(darkness), intensities.contrast)
-    powers = [
-        StackPower.of(found, bank, variance, gain, heard_where(known), intensities.unit)
-        for found, known, bank in zip(power, shown, banks, strict=True)
-    ]
-    return powers, color, energies.energy, intensities
-
-
-def _gains(brightness: Float64, contrast: float) -> Float64:
-    """Return how bright planes are against the others; 1 where their means cannot tell.
-
-    Blur leaves the mean as it is, a lamp that flickers does not. It is counted from the darkest
-    places, since cameras add an offset.
-    """
-    middle = float(np.median(brightness))
-    if middle < _LEAST_BRIGHTNESS * contrast:
-        return np.ones(len(brightness))
-    gain = brightness / middle
-    even = gain.min() > 1 / _LARGEST_DRIFT and gain.max() < _LARGEST_DRIFT
-    return gain if even else np.ones(len(brightness))

@@ -14,6 +14,8 @@ a screen are not proportional to light, so it was 10 times too weak on a circuit
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
@@ -37,6 +39,17 @@ board, 0 leaves islands on 4.4 % of the pixels, 0.02 on 0.5 %, 0.05 and 0.1 on n
 simulated steps in depth, 0.05 loses the position of 0.9 % of the pixels, and no composite changes
 by 0.1 dB.
 """
+
+
+def without_spread_light(
+    power: StackPower, own: Float64, px_per_plane: float
+) -> tuple[StackPower, Mask]:
+    """Take the say from planes that may show spread light alone; return where some had one, too.
+
+    See `spread_light`; which windows have changed is (P,).
+    """
+    lost = power.heard & spread_light(power, own, px_per_plane)
+    return replace(power, heard=power.heard & ~lost), np.asarray(lost.any(axis=1))
 
 
 def spread_light(power: StackPower, own: Float64, px_per_plane: float) -> Mask:

@@ -25,7 +25,7 @@ from napari_defocus.stacks.exposure import (
     squares_of,
 )
 from napari_defocus.stacks.planes import StackPlanes
-from napari_defocus.stacks.registration import Motion, alignment_of, motion_between
+from napari_defocus.stacks.registration import Details, Motion, alignment_of, motion_between
 
 Float32 = NDArray[np.float32]
 Align = Literal["auto"] | bool | StackAlignment
@@ -44,6 +44,9 @@ do not move measure up to 0.3 px at their ends.
 
 _MOST_UNCERTAINTY = 1.0
 """px: less certain alignments do not count. Chosen by hand."""
+
+_EVENLY = 1
+"""Order of the splines that move a plane to compare means over squares."""
 
 _SPLINE_REACH = 2
 """px around unknown pixels that splines spoil."""
@@ -114,6 +117,22 @@ class MatchedPlanes:
     def moves(self, number: int) -> bool:
         """Whether a plane is read between its pixels."""
         return self.alignment is not None and self.alignment.motion[number] > 0
+
+    def brightest(self, plane: NDArray[Any], number: int) -> Float32:
+        """Return the brightest colour of each pixel of a plane that was read, as it was given."""
+        values = np.ma.getdata(plane)
+        found = values if values.ndim == 2 else values[..., 0]
+        for channel in range(1, min(values.shape[2], 3) if values.ndim == 3 else 1):
+            found = np.maximum(found, values[..., channel])
+        found = found.astype(np.float32)
+        known = known_pixels(plane)
+        if known is not None:
+            found[~known] = found[known].min() if known.any() else 0
+        if self.exposure is not None and self._changes(number):
+            gain, offset = self.exposure.gain[number], self.exposure.offset
+            given = (found - np.float32(offset)) * np.float32(gain) + np.float32(offset)
+            found = np.where(found < _white(self.dtype), given, found)
+        return found
 
     def _changes(self, number: int) -> bool:
         return self.exposure is not None and self.exposure.gain[number] != 1
@@ -235,22 +254,23 @@ def _measured(
     pairs: list[Squares] = []
     darkest = np.inf
     white = _white(planes.dtype)
-    before = None
+    asked = given is None and bool(align)
+    before: Float32 | None = None
+    details: Details | None = None
     for number in range(len(planes)):
         progress(MEASURING, number / len(planes))
         plane = _luminance(planes.read(number))
         darkest = min(darkest, _darkest(plane))
         if given is not None:
-            plane = given.aligned(plane, number)
+            plane = given.aligned(plane, number, _EVENLY)
+        shown, details = details, Details.of(plane) if asked else None
+        laid = plane
+        if shown is not None and details is not None:
+            motion = motion_between(shown, details)
+            motions.append(motion)
+            laid = moved(plane, motion.factor, motion.shift, _EVENLY)
         if before is not None:
-            motion = Motion()
-            if given is None and align:
-                motion = motion_between(before, plane)
-                motions.append(motion)
-                plane_on_it = moved(plane, motion.factor, motion.shift)
-            else:
-                plane_on_it = plane
-            pairs.append(squares_of(before, plane_on_it, white))
+            pairs.append(squares_of(before, laid, white))
         before = plane
     exposure = exposure_of(pairs, darkest if np.isfinite(darkest) else 0.0)
     if not motions:

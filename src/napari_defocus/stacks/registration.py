@@ -2,10 +2,10 @@
 
 Both planes show one scene, blurred differently. Blur by a symmetric PSF moves nothing. So the
 cross-correlation of one place in both planes has its peak where the place has moved to. It is
-computed in blocks, to a fraction of a pixel (`skimage.registration.phase_cross_correlation`). One
-similarity (shift, magnification, turn) is fitted to the blocks, with weights that leave out those
-that differ. The second plane is laid on the first, and the blocks measure what is left. How much
-the blocks differ says how sure the motion is.
+computed in blocks, to a fraction of a pixel (`block_shifts`). One similarity (shift, magnification,
+turn) is fitted to the blocks, with weights that leave out those that differ. The second plane is
+laid on the first, and the blocks measure what is left, until it is little. How much the blocks
+differ says how sure the motion is.
 
 Neighbouring planes are compared, because their blur is similar. pystackreg compares whole planes.
 It gives no error to tell a motion from none, and takes brightness for motion. Log-polar transforms
@@ -16,15 +16,14 @@ their width.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from skimage.registration import phase_cross_correlation
 
 from napari_defocus.stacks.alignment import StackAlignment, moved
+from napari_defocus.stacks.block_shifts import block_shifts, block_spectra
 
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -40,15 +39,16 @@ _LEAST_BLOCK, _MOST_BLOCK, _BLOCKS_A_SIDE = 32, 128, 8
 _COARSE_SIDE = 512
 """px: planes with longer sides are first compared at this size. Chosen by hand."""
 
-_FIRST, _FRACTIONS = (1,), (20, 20)
-"""Blocks are compared to this fraction of a pixel, in each round, before and after the rough motion
-is known. The mean of many blocks is finer. Chosen by hand.
+_ROUNDS, _SETTLED = 3, 0.05
+"""How often blocks are asked at most, and px at a corner: what moves a plane less is the last. By
+hand.
 """
 
+_HARDLY = 0.5
+"""px at a corner: a rough motion below it is left to the first round. Chosen by hand."""
+
 _SPLINE = 3
-"""Order of the splines that move a plane for the comparison. Finer splines keep details that are
-not compared. Chosen by hand.
-"""
+"""Order of the splines that move details for the comparison. Chosen by hand."""
 
 _KNOWN = 0.95
 """The share of a block that must be known. Chosen by hand."""
@@ -104,6 +104,10 @@ class Motion:
             math.hypot(self.error_of_shift, first.error_of_shift),
         )
 
+    def at_corner(self, corner: float) -> float:
+        """Return by how many px a place is moved at most that is so far from the middle."""
+        return abs(self.shift) + corner * abs(self.factor - 1)
+
     def inverse(self) -> Motion:
         """Return the way back."""
         return Motion(
@@ -111,27 +115,52 @@ class Motion:
         )
 
 
-def motion_between(first: Float32, second: Float32) -> Motion:
-    """Measure how a plane lies on another one.
+@dataclass(frozen=True, eq=False)
+class Details:
+    """What of a plane is compared with another one.
 
-    Parameters
+    Attributes
     ----------
-    first, second : (H, W) float32 ndarray
-        Luminances; NaN is unknown.
+    fine : (H, W) float32 ndarray
+        Details of middle size; NaN is unknown.
+    rough : Details or None
+        Those of a plane that is `step` times smaller. None if the plane is small.
+    step : int
+    """
+
+    fine: Float32
+    rough: Details | None = None
+    step: int = 1
+
+    @classmethod
+    def of(cls, plane: Float32) -> Details:
+        """Look at a luminance, (H, W); NaN is unknown."""
+        largest = max(plane.shape)
+        if largest <= _COARSE_SIDE:
+            return cls(_details(plane))
+        step = -(-largest // _COARSE_SIDE)
+        return cls(_details(plane), cls(_details(_shrunk(plane, step))), step)
+
+    @property
+    def corner(self) -> float:
+        """How far a corner is from the middle, in px."""
+        return math.hypot(*self.fine.shape) / 2
+
+
+def motion_between(first: Details, second: Details) -> Motion:
+    """Measure how a plane lies on another one.
 
     Returns
     -------
     Motion
         Its `error_of_shift` is infinite if there was nothing to compare.
     """
-    motion = Motion()
-    largest = max(first.shape)
-    if largest > _COARSE_SIDE:
-        step = -(-largest // _COARSE_SIDE)
-        small = _refined(_shrunk(first, step), _shrunk(second, step), motion, _FIRST + _FRACTIONS)
-        motion = Motion(small.factor, small.shift * step)
-        return _refined(first, second, motion, _FRACTIONS)
-    return _refined(first, second, motion, _FIRST + _FRACTIONS)
+    start = Motion()
+    if first.rough is not None and second.rough is not None:
+        rough = motion_between(first.rough, second.rough)
+        scaled = Motion(rough.factor, rough.shift * first.step)
+        start = scaled if scaled.at_corner(first.corner) > _HARDLY else start
+    return _refined(first, second, start)
 
 
 def alignment_of(motions: list[Motion], shape: tuple[int, int]) -> StackAlignment | None:
@@ -171,58 +200,92 @@ def _shrunk(plane: Float32, step: int) -> Float32:
     return np.asarray(squares.mean(axis=(1, 3)))
 
 
-def _refined(first: Float32, second: Float32, motion: Motion, fractions: tuple[int, ...]) -> Motion:
+def _refined(first: Details, second: Details, motion: Motion) -> Motion:
     """Ask the blocks, several times, for what a motion leaves."""
-    side = min(*first.shape, max(_LEAST_BLOCK, min(_MOST_BLOCK, min(first.shape) // 3)))
-    slope = np.hanning(side + 2)[1:-1].astype(np.float32)
-    window = slope[:, None] * slope
-    pattern, known = _details(first)
-    for fraction in fractions:
-        other, seen = _details(moved(second, motion.factor, motion.shift, _SPLINE))
-        places, left, weights = _asked(pattern, other, known & seen, window, fraction)
+    shape = first.fine.shape
+    side = min(*shape, max(_LEAST_BLOCK, min(_MOST_BLOCK, min(shape) // 3)))
+    blocks = _Blocks.of(first.fine, side)
+    for _ in range(_ROUNDS):
+        laid = moved(second.fine, motion.factor, motion.shift, _SPLINE)
+        places, left, weights = blocks.asked(laid)
         if not len(places):
             return Motion()
-        motion = _fitted(places, left, weights).before(motion)
+        change = _fitted(places, left, weights)
+        motion = change.before(motion)
+        if change.at_corner(first.corner) < _SETTLED:
+            break
     return motion
 
 
-def _details(plane: Float32) -> tuple[Float32, Mask]:
-    """Return the details of a plane that are compared, and where it is known."""
+def _details(plane: Float32) -> Float32:
+    """Return the details of a plane that are compared; NaN where it is not known."""
     known = np.isfinite(plane)
+    if known.all():
+        return gaussian_filter(plane, _FINE) - gaussian_filter(plane, _COARSE)
     filled = np.where(known, plane, plane[known].mean() if known.any() else 0).astype(np.float32)
-    return gaussian_filter(filled, _FINE) - gaussian_filter(filled, _COARSE), known
+    details = gaussian_filter(filled, _FINE) - gaussian_filter(filled, _COARSE)
+    return np.where(known, details, np.float32(np.nan))
 
 
-def _asked(
-    first: Float32, second: Float32, known: Mask, window: Float32, fraction: int
-) -> tuple[Complex, Complex, Float64]:
-    """Return where blocks are, how far the second plane has moved there, and how alike they are."""
-    side = len(window)
-    middle = complex(*((np.array(first.shape) - side) / 2))
-    places, shifts, weights = [], [], []
-    for row, column in _corners(first.shape, side):
-        block = np.s_[row : row + side, column : column + side]
-        here, there = first[block] * window, second[block] * window
-        energy = math.sqrt(float((here**2).sum()) * float((there**2).sum()))
-        likeness = float((here * there).sum()) / energy if energy > 0 else 0.0
-        if likeness <= 0 or known[block].mean() < _KNOWN:
-            continue
-        shift, *_ = phase_cross_correlation(
-            there, here, upsample_factor=fraction, normalization=None
-        )
-        places.append(complex(row, column) - middle)
-        shifts.append(complex(*shift))
-        weights.append(likeness**2)
-    return np.array(places), np.array(shifts), np.array(weights)
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """The blocks of a plane that others are compared with.
+
+    Attributes
+    ----------
+    corners : (N, 2) int ndarray
+        Half of neighbouring blocks overlap unless there would be too many.
+    places : (N,) complex128 ndarray
+        Of their middles, from the middle of the plane.
+    values : (N, S, S) float32 ndarray
+        Details, less towards the edges.
+    known : (N,) bool ndarray
+    spectra : (N, S, S // 2 + 1) complex64 ndarray
+    """
+
+    corners: NDArray[np.int64]
+    places: Complex
+    values: Float32
+    known: Mask
+    spectra: NDArray[np.complex64]
+
+    @classmethod
+    def of(cls, details: Float32, side: int) -> _Blocks:
+        """Cut blocks of a side."""
+        lattice = [
+            np.linspace(0, length - side, min(_BLOCKS_A_SIDE, 2 * (length // side) - 1)).astype(int)
+            for length in details.shape
+        ]
+        corners = np.stack(np.meshgrid(*lattice, indexing="ij"), axis=-1).reshape(-1, 2)
+        away = corners - (np.array(details.shape) - side) / 2
+        values, known = _cut(details, corners, side)
+        return cls(corners, away[:, 0] + 1j * away[:, 1], values, known, block_spectra(values))
+
+    def asked(self, laid: Float32) -> tuple[Complex, Complex, Float64]:
+        """Return where blocks are, how far details have moved there, and how alike they are."""
+        side = self.values.shape[1]
+        values, known = _cut(laid, self.corners, side)
+        energy = _sums(self.values**2) * _sums(values**2)
+        product = _sums(self.values * values)
+        likeness = np.divide(product, np.sqrt(energy), where=energy > 0, out=np.zeros(len(energy)))
+        kept = (likeness > 0) & known & self.known
+        shifts = block_shifts(self.spectra[kept], block_spectra(values[kept]), side)
+        return self.places[kept], shifts[:, 0] + 1j * shifts[:, 1], likeness[kept] ** 2
 
 
-def _corners(shape: tuple[int, ...], side: int) -> Iterator[tuple[int, int]]:
-    """Return the first corners of blocks, half of which overlap unless there would be too many."""
-    rows, columns = (
-        np.linspace(0, length - side, min(_BLOCKS_A_SIDE, 2 * (length // side) - 1)).astype(int)
-        for length in shape
+def _cut(details: Float32, corners: NDArray[np.int64], side: int) -> tuple[Float32, Mask]:
+    """Cut blocks out of details, less towards their edges; return which are known, too."""
+    slope = np.hanning(side + 2)[1:-1].astype(np.float32)
+    blocks = np.stack(
+        [details[row : row + side, column : column + side] for row, column in corners]
     )
-    return ((int(row), int(column)) for row in rows for column in columns)
+    seen = np.isfinite(blocks)
+    blocks[~seen] = 0
+    return blocks * slope[:, None] * slope, seen.mean(axis=(1, 2)) >= _KNOWN
+
+
+def _sums(blocks: Float32) -> Float64:
+    return np.asarray(blocks.sum(axis=(1, 2), dtype=np.float64))
 
 
 def _fitted(places: Complex, shifts: Complex, likeness: Float64) -> Motion:
