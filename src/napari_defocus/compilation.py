@@ -22,7 +22,9 @@ from napari_defocus.core.threads import in_one_thread
 from napari_defocus.labeling import (
     continuous_refinement,
     data_term,
+    fusions,
     graph_cuts,
+    minimum_cuts,
     multigrid,
     pairwise_term,
     pixel_refinement,
@@ -37,7 +39,7 @@ from napari_defocus.psf.families import Disc
 
 _MODULES = (
     *(gabor, profile_likelihood, maxima, evidence, scale_space, data_term, multigrid),
-    *(graph_cuts, pairwise_term, pixel_refinement, continuous_refinement),
+    *(graph_cuts, fusions, minimum_cuts, pairwise_term, pixel_refinement, continuous_refinement),
 )
 """Where the kernels of maps, masks and confidences are."""
 
