@@ -34,11 +34,9 @@ class Part:
     @property
     def free(self) -> tuple[int, int, int, int]:
         """Its first row, the one after the last, and the same of columns, among what it sees."""
-        (top, bottom), (left, right) = (
-            (at - self._seen(axis)[0] for at in own)
-            for axis, own in enumerate((self.rows, self.columns))
-        )
-        return top, bottom, left, right
+        top, left = self._seen(0)[0], self._seen(1)[0]
+        (first, stop), (start, end) = self.rows, self.columns
+        return first - top, stop - top, start - left, end - left
 
     def _seen(self, axis: int) -> Range:
         start, stop = (self.rows, self.columns)[axis]
