@@ -16,9 +16,10 @@ from scipy.ndimage import map_coordinates
 import napari_defocus
 from napari_defocus import simulate_defocus
 from napari_defocus.forward.blur_operator import BlurOperator
+from napari_defocus.labeling.confidence import _compare_rows, tolerance
 from napari_defocus.labeling.continuous_refinement import _around
 from napari_defocus.labeling.continuous_refinement import _smoothness_form as _bend_form
-from napari_defocus.labeling.data_term import _limited
+from napari_defocus.labeling.data_term import _limited, least_of_both
 from napari_defocus.labeling.fusions import _flow, _fusion_graph, _push, change_of, fuse
 from napari_defocus.labeling.graph_cuts import (
     Edges,
@@ -447,6 +448,33 @@ def test_limited_depth_is_weighted_and_0_at_the_top():
     depth = np.minimum(likely.max(axis=2, keepdims=True) - likely, 15)
     found = _limited(curve, prior, weight, np.float32(15))
     np.testing.assert_allclose(found, weight[..., None] * depth, rtol=1e-5)
+
+
+def test_least_costs_beyond_and_among_the_first_labels():
+    data = np.random.default_rng(0).random((3, 4, 7)).astype(np.float32)
+    expected = np.stack([data[..., 3:].min(axis=2), data[..., :3].min(axis=2)], axis=2)
+    np.testing.assert_array_equal(least_of_both(data, 3), expected)
+
+
+def test_curves_are_held_against_a_map():
+    rng = np.random.default_rng(0)
+    curve = rng.normal(0, 2, (3, 4, 30)).astype(np.float32)
+    scales = np.linspace(0, 6, 30).astype(np.float32)
+    spacing = rng.uniform(0.5, 2, 30).astype(np.float32)
+    radius = rng.uniform(0, 6, (3, 4)).astype(np.float32)
+    likely = curve + log_prior(scales)
+    share = spacing * np.exp(0.7 * (likely - likely.max(axis=2, keepdims=True)))
+    agrees = np.abs(scales - radius[..., None]) <= tolerance(radius)[..., None]
+    expected = (
+        np.ptp(curve, axis=2),
+        scales[likely.argmax(axis=2)],
+        np.sum(share * agrees, axis=2) / share.sum(axis=2),
+        np.sum(spacing * agrees, axis=2) / spacing.sum(),
+    )
+    found = np.empty((4, 3, 4), np.float32)
+    given = curve, log_prior(scales), scales, spacing, radius, tolerance(radius)
+    _compare_rows(0, 3, *given, found)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_mean_and_variance_are_those_of_the_tempered_likelihood_nearby():
