@@ -11,10 +11,9 @@ from itertools import product
 
 Range = tuple[int, int]
 
-_SIDE, _OVERLAP = 128, 12
-"""Nodes along the side of a part, about; and those beyond its border that may change with it.
-Without an overlap, labels of photographs have up to 0.07 % more energy than those of one part, with
-it 0.01 % more to 0.35 % less. Sides of 64 miss what 128 find: 0.5 % on a photograph of 10 MP.
+_SIDE, _OVERLAP = 96, 12
+"""Nodes along the side of a part, about; and those beyond its border that may change with it. Chosen
+by energies and seconds (docs/decisions.md).
 """
 
 
