@@ -27,7 +27,7 @@ from record import OURS, PAPER, Number, Record
 from napari_defocus import BlurCandidates, estimate_candidates
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT, JUMP, REACH
-from napari_defocus.labeling.blurred_edges import less_at_blurred_edges
+from napari_defocus.labeling.blurred_edges import less_at_blurred_edges, squared_step_of
 from napari_defocus.labeling.graph_cuts import (
     energy_of,
     expand_until_settled,
@@ -88,14 +88,15 @@ class Problem:
     @classmethod
     def of(cls, picture: np.ndarray) -> "Problem":
         scene = LabelingProblem.of(estimate_candidates(picture), picture)
-        cost, weights = scene.cost(CURVE_WEIGHT), (scene.block_weight, scene.pixel_weight)
+        cost, weights = CURVE_WEIGHT * scene.data_term, (scene.block_weight, scene.pixel_weight)
         return cls(scene.own, scene.picture, scene.blocks, cost, *weights)
 
     def of_windows(self) -> tuple[np.ndarray, np.ndarray]:
         """Return costs and weights of the grid of windows."""
         color = self.picture.color
         weights = self.blocks.edge_weights(color, COLOR_SIGMA, SMOOTHNESS)
-        beyond = less_at_blurred_edges(weights, color, self.blocks, COLOR_SIGMA)
+        step = squared_step_of(color, self.blocks)
+        beyond = less_at_blurred_edges(weights, step, COLOR_SIGMA)
         weights = np.concatenate([weights, beyond])
         return self.cost * self.block_weight[..., None], weights
 

@@ -16,19 +16,20 @@ from scipy.ndimage import map_coordinates
 import napari_defocus
 from napari_defocus import simulate_defocus
 from napari_defocus.forward.blur_operator import BlurOperator
+from napari_defocus.labeling.confidence import _compare_rows, tolerance
 from napari_defocus.labeling.continuous_refinement import _around
 from napari_defocus.labeling.continuous_refinement import _smoothness_form as _bend_form
-from napari_defocus.labeling.data_term import _limited
+from napari_defocus.labeling.data_term import _limited, least_of_both
+from napari_defocus.labeling.fusions import _flow, _fusion_graph, _push, change_of, fuse
 from napari_defocus.labeling.graph_cuts import (
     Edges,
-    _change,
-    _flow,
-    _fusion_graph,
     _near,
     energy_of,
-    fuse,
+    expand,
+    improve,
     solve_exactly,
 )
+from napari_defocus.labeling.minimum_cuts import sink_side
 from napari_defocus.labeling.multigrid import _RELAXATION, STEPS, _joined_weights, coarser
 from napari_defocus.labeling.pairwise_term import Blocks, pixel_weights
 from napari_defocus.labeling.pixel_refinement import (
@@ -342,7 +343,7 @@ def test_fusion_is_the_best_of_all_mixtures(proposal):
         for taken in product([False, True], repeat=4)
     )
     least = min(energy_of(some, data, weights) for some in mixtures)
-    change = _change(labels, proposal, place, data)
+    change = change_of(labels, proposal, place, data)
     found = fuse(labels, proposal, place, change, weights)
     np.testing.assert_allclose(energy_of(found, data, weights), least, rtol=1e-6)
 
@@ -357,20 +358,54 @@ def test_flow_leaves_the_value_of_every_cut():
     assert (np.diff(tail) >= 0).all()
     left = cost.copy()
     forth, back = _flow(left, tail, head, capacity)
-    assert min(forth.min(), back.min()) >= 0
-    for upper in product([0, 1], repeat=4):
-        side = np.array(upper)
+    for step in (lambda *_: None, _push):
+        step(left, tail, head, forth, back)
+        assert min(forth.min(), back.min()) >= 0
+        for upper in product([0, 1], repeat=4):
+            side = np.array(upper)
+            rises = side[head] - side[tail]
+            before = cost @ side + capacity @ np.abs(rises)
+            after = left @ side + forth @ (rises > 0) + back @ (rises < 0)
+            np.testing.assert_allclose(after, before, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sink_side_is_the_smallest_of_the_least_cuts(seed):
+    rng = np.random.default_rng(seed)
+    tail, head = np.triu_indices(6, 1)
+    kept = rng.random(len(tail)) < 0.6
+    tail, head = tail[kept].astype(np.int32), head[kept].astype(np.int32)
+    cost = rng.integers(-6, 7, 6).astype(float)
+    forth, back = rng.integers(0, 4, (2, len(tail))).astype(float)
+    costs = {}
+    for chosen in product([0, 1], repeat=6):
+        side = np.array(chosen)
         rises = side[head] - side[tail]
-        before = cost @ side + capacity @ np.abs(rises)
-        after = left @ side + forth @ (rises > 0) + back @ (rises < 0)
-        np.testing.assert_allclose(after, before, atol=1e-4)
+        costs[chosen] = cost @ side + forth @ (rises > 0) + back @ (rises < 0)
+    best = [side for side, value in costs.items() if value == min(costs.values())]
+    found = sink_side(cost, tail, head, forth, back)
+    assert tuple(found.astype(int)) == min(best, key=sum)
 
 
 def test_nodes_near_a_label_are_those_around_nodes_that_have_about_it():
     labels = np.array([[0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [4, 5, 0, 0, 9]], np.int32)
-    assert _near(labels, 5, 0, 1).tolist() == [5, 6, 7, 10, 12]
-    assert _near(labels, 5, 1, 1).tolist() == [5, 6, 7, 10, 12]
-    assert _near(labels, 8, 1, 1).tolist() == [8, 9, 13, 14]
+    everywhere = (0, 3, 0, 5)
+    assert _near(labels, 5, 0, 1, everywhere).tolist() == [5, 6, 7, 10, 12]
+    assert _near(labels, 5, 1, 1, everywhere).tolist() == [5, 6, 7, 10, 12]
+    assert _near(labels, 8, 1, 1, everywhere).tolist() == [8, 9, 13, 14]
+    assert _near(labels, 8, 1, 2, everywhere).tolist() == [2, 3, 4, 7, 8, 9, 12, 13, 14]
+    assert _near(labels, 8, 1, 2, (1, 3, 0, 4)).tolist() == [7, 8, 12, 13]
+
+
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_moves_lower_the_energy_to_the_least_of_few_labelings(everywhere):
+    data, weights = costs_and_weights(4)
+    labelings = [np.reshape(some, (2, 2)).astype(np.int32) for some in product(range(4), repeat=4)]
+    least = min(energy_of(labels, data, weights) for labels in labelings)
+    found = improve(labelings[7], data, weights, everywhere=everywhere)
+    np.testing.assert_allclose(energy_of(found, data, weights), least, rtol=1e-6)
+    expanded = expand(labelings[7], 2, data, weights)
+    assert energy_of(expanded, data, weights) <= energy_of(labelings[7], data, weights)
 
 
 def test_curves_are_limited_below_their_tops():
@@ -413,6 +448,33 @@ def test_limited_depth_is_weighted_and_0_at_the_top():
     depth = np.minimum(likely.max(axis=2, keepdims=True) - likely, 15)
     found = _limited(curve, prior, weight, np.float32(15))
     np.testing.assert_allclose(found, weight[..., None] * depth, rtol=1e-5)
+
+
+def test_least_costs_beyond_and_among_the_first_labels():
+    data = np.random.default_rng(0).random((3, 4, 7)).astype(np.float32)
+    expected = np.stack([data[..., 3:].min(axis=2), data[..., :3].min(axis=2)], axis=2)
+    np.testing.assert_array_equal(least_of_both(data, 3), expected)
+
+
+def test_curves_are_held_against_a_map():
+    rng = np.random.default_rng(0)
+    curve = rng.normal(0, 2, (3, 4, 30)).astype(np.float32)
+    scales = np.linspace(0, 6, 30).astype(np.float32)
+    spacing = rng.uniform(0.5, 2, 30).astype(np.float32)
+    radius = rng.uniform(0, 6, (3, 4)).astype(np.float32)
+    likely = curve + log_prior(scales)
+    share = spacing * np.exp(0.7 * (likely - likely.max(axis=2, keepdims=True)))
+    agrees = np.abs(scales - radius[..., None]) <= tolerance(radius)[..., None]
+    expected = (
+        np.ptp(curve, axis=2),
+        scales[likely.argmax(axis=2)],
+        np.sum(share * agrees, axis=2) / share.sum(axis=2),
+        np.sum(spacing * agrees, axis=2) / spacing.sum(),
+    )
+    found = np.empty((4, 3, 4), np.float32)
+    given = curve, log_prior(scales), scales, spacing, radius, tolerance(radius)
+    _compare_rows(0, 3, *given, found)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_mean_and_variance_are_those_of_the_tempered_likelihood_nearby():

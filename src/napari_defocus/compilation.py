@@ -20,9 +20,12 @@ from scipy.ndimage import gaussian_filter
 from napari_defocus.core.progress import COMPILING, Progress
 from napari_defocus.core.threads import in_one_thread
 from napari_defocus.labeling import (
+    confidence,
     continuous_refinement,
     data_term,
+    fusions,
     graph_cuts,
+    minimum_cuts,
     multigrid,
     pairwise_term,
     pixel_refinement,
@@ -37,7 +40,15 @@ from napari_defocus.psf.families import Disc
 
 _MODULES = (
     *(gabor, profile_likelihood, maxima, evidence, scale_space, data_term, multigrid),
-    *(graph_cuts, pairwise_term, pixel_refinement, continuous_refinement),
+    *(
+        graph_cuts,
+        fusions,
+        minimum_cuts,
+        pairwise_term,
+        pixel_refinement,
+        continuous_refinement,
+        confidence,
+    ),
 )
 """Where the kernels of maps, masks and confidences are."""
 

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from napari_defocus import estimate_candidates
+from napari_defocus.labeling import parts
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
 from napari_defocus.labeling.data_term import data_term
+from napari_defocus.labeling.fusions import fuse
 from napari_defocus.labeling.graph_cuts import (
     energy_of,
     expand,
     expand_until_settled,
-    fuse,
     improve,
     minimize_energy,
     solve_exactly,
@@ -248,6 +249,35 @@ def test_improved_labels_have_less_energy_and_what_is_best_stays(strength, every
     found = improve(best, data, weights, everywhere=everywhere)
     energies = [energy_of(each, data, weights) for each in (found, best)]
     np.testing.assert_allclose(*energies, rtol=1e-6)
+
+
+def test_parts_cover_every_node_and_those_of_a_group_do_not_touch():
+    for shape, shifted in product([(20, 500), (127, 300), (700, 190)], [False, True]):
+        seen = np.zeros(shape, int)
+        for group in parts.groups_of_parts(shape, shifted=shifted):
+            in_group = np.zeros(shape, int)
+            for part in group:
+                top, bottom, left, right = part.free
+                own = slice(*part.rows), slice(*part.columns)
+                inner = np.zeros(shape, bool)[part.seen]
+                inner[top:bottom, left:right] = True
+                assert inner.sum() == np.zeros(shape)[own].size
+                in_group[own] += 1
+                seen[own] += 1
+                around = in_group[part.seen] - inner
+                assert (around <= 0).all()
+            assert in_group.max() == 1
+        assert seen.min() == 1
+
+
+def test_labels_of_many_parts_have_no_more_energy_than_those_of_one(monkeypatch):
+    data, weights = rough_problem(1, 1.0)
+    one = minimize_energy(data, weights)
+    monkeypatch.setattr(parts, "_SIDE", 8)
+    monkeypatch.setattr(parts, "_OVERLAP", 2)
+    many = minimize_energy(data, weights)
+    energies = [energy_of(labels, data, weights) for labels in (many, one)]
+    assert energies[0] <= energies[1] * 1.001
 
 
 def test_settled_expansions_from_given_labels_end_no_higher():

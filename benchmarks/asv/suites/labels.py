@@ -22,7 +22,7 @@ class Labels:
         weights = scene.blocks.edge_weights(
             scene.picture.color, MapSettings.color_sigma, MapSettings.smoothness
         )
-        self.problem = scene.cost(CURVE_WEIGHT) * scene.block_weight[..., None], weights
+        self.problem = scene.block_cost(CURVE_WEIGHT), weights
         self.labels = minimize_energy(*self.problem)
 
     def time_map(self, side: int) -> None:

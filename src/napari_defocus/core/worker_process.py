@@ -1,9 +1,9 @@
 """Functions of this package run in a worker process, so that no thread here waits for them.
 
-PyMaxflow never releases the GIL, and one cut of a large picture takes seconds: in a thread, it
-stops all others, a window's too. The worker process is a plain Python that imports this package
-and nothing of the caller's. It is kept for the next call, and ends when its parent does: at once,
-or after the cut that it is in if the parent was killed.
+Some steps of the work hold the GIL for a part of a second: in a thread, they stop all others, a
+window's too. The worker process is a plain Python that imports this package and nothing of the
+caller's. It is kept for the next call, and ends when its parent does: at once, or after the step
+that it is in if the parent was killed.
 
 Work that is no longer wanted ends at its next report; if it makes none for a while, its process
 ends. Calls of different *channels* have a process each.

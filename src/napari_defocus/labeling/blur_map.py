@@ -77,23 +77,14 @@ def labeled_blur_map(
     candidates, blocks, color = problem.own, problem.blocks, problem.color
     step = "Making the map coherent"
     progress(step, 0.0)
-    cost, block_cost, weights = _problem_of_blocks(problem, settings)
-    choosing = within(progress, 0.0, 0.7, step)
-    if around is not None:
-        around.hold(block_cost, _HOLD * smoothness)
-    if candidates.mode == "paper":
-        labels = expand_until_settled(block_cost, weights, choosing)
-    elif around is not None:
-        labels = minimize_energy_from(around.labels, block_cost, weights, choosing)
-    else:
-        labels = minimize_energy(block_cost, weights, choosing)
+    labels, weights = _labels_of_blocks(problem, settings, around, within(progress, 0.0, 0.7, step))
     progress("Following the picture's edges", 0.7)
     pixels = label_pixels(
         labels,
-        cost,
+        problem.data_term,
         blocks,
         color,
-        smoothness=smoothness,
+        smoothness=smoothness / problem.unit(CURVE_WEIGHT),
         color_sigma=problem.sigma(color_sigma),
         jump=JUMP,
         reach=REACH,
@@ -103,8 +94,7 @@ def labeled_blur_map(
     axis = candidates.scales.astype(np.float32)
     scales = axis[labels]
     if candidates.mode == "curve":
-        pairs = blocks.edge_weights(np.zeros_like(color), color_sigma, 1.0)
-        likeness = weights[:HALF] / np.maximum(smoothness * pairs, _LEAST_SMOOTHNESS)
+        likeness = weights[:HALF] / np.maximum(smoothness * problem.pairs, _LEAST_SMOOTHNESS)
         own = None if around is None else around.own
         scales = refine_labels(
             candidates, labels, likeness, JUMP, smoothness, own, within(progress, 0.9, 1.0)
@@ -113,18 +103,30 @@ def labeled_blur_map(
     return interpolate_labels(scales, labels, pixels, blocks, JUMP, axis)
 
 
-def _problem_of_blocks(
-    problem: LabelingProblem, settings: MapSettings
-) -> tuple[Float32, Float32, Float32]:
-    """Return D of (14) for a pixel at each window and for its block, and the blocks' weights."""
-    cost = problem.cost(CURVE_WEIGHT)
+def _labels_of_blocks(
+    problem: LabelingProblem,
+    settings: MapSettings,
+    around: CoarseLabels | None,
+    progress: Progress,
+) -> tuple[NDArray[np.int32], Float32]:
+    """Return the labels of the blocks, (R, C), and their weights."""
+    cost, weights = _problem_of_blocks(problem, settings)
+    if problem.own.mode == "paper":
+        return expand_until_settled(cost, weights, progress), weights
+    if around is None:
+        return minimize_energy(cost, weights, progress), weights
+    around.hold(cost, _HOLD * settings.smoothness)
+    return minimize_energy_from(around.labels, cost, weights, progress), weights
+
+
+def _problem_of_blocks(problem: LabelingProblem, settings: MapSettings) -> tuple[Float32, Float32]:
+    """Return D of (14) for the pixels of each block, and the blocks' weights."""
     sigma = problem.sigma(settings.color_sigma)
-    blocks, color = problem.blocks, problem.color
-    weights = blocks.edge_weights(color, sigma, settings.smoothness)
+    weights = problem.blocks.edge_weights(problem.color, sigma, settings.smoothness)
     if problem.candidates.mode == "curve":
-        beyond = less_at_blurred_edges(weights, color, blocks, sigma)
+        beyond = less_at_blurred_edges(weights, problem.squared_step, sigma)
         weights = np.concatenate([weights, beyond])
-    return cost, cost * problem.block_weight[..., None], weights
+    return problem.block_cost(CURVE_WEIGHT), weights
 
 
 def coarse_problem(
@@ -137,7 +139,7 @@ def coarse_problem(
     data, weights : ndarray
         As `minimize_energy` takes them.
     """
-    _, data, weights = _problem_of_blocks(problem, settings)
+    data, weights = _problem_of_blocks(problem, settings)
     for _ in range(levels):
         data, weights = coarser(data, weights)
     return data, weights
@@ -155,7 +157,7 @@ def preview_of_blur_map(
     """
     progress("Preview", 0.0)
     blocks = problem.blocks
-    _, cost, weights = _problem_of_blocks(problem, settings)
+    cost, weights = _problem_of_blocks(problem, settings)
     labels = minimize_energy(
         cost,
         weights,
@@ -225,12 +227,13 @@ def labeling_energy(
             f"{largest:g} px, those of the candidates"
         )
     problem = LabelingProblem.of(candidates, image, intensity_range)
-    return energy_of_pixels(
+    unit = problem.unit(CURVE_WEIGHT)
+    return unit * energy_of_pixels(
         nearest_labels(candidates.scales, scales),
-        problem.cost(CURVE_WEIGHT),
+        problem.data_term,
         problem.blocks,
         problem.color,
-        smoothness=smoothness,
+        smoothness=smoothness / unit,
         color_sigma=problem.sigma(color_sigma),
         weight=problem.pixel_weight,
     )

@@ -27,25 +27,23 @@ _SIDE = 4
 """px, side of the squares whose mean colours are smoothed; that is faster, and as good."""
 
 
-def less_at_blurred_edges(
-    weights: Float32, color: Float32, blocks: Blocks, color_sigma: float
-) -> Float32:
+def less_at_blurred_edges(weights: Float32, squared_step: Float32, color_sigma: float) -> Float32:
     """Return weights between blocks, less where the picture has an edge that may be blurred.
 
     Parameters
     ----------
     weights : (4, R, C) float32 ndarray
         See `Blocks.edge_weights`.
-    color : (H, W, channels) float32 ndarray
-    blocks : Blocks
+    squared_step : (R, C) float32 ndarray
+        See `squared_step_of`.
     color_sigma : float
-        sigma_lambda of (16), in the unit of `color`.
+        sigma_lambda of (16), in the unit of the colours.
 
     Returns
     -------
     (4, R, C) float32 ndarray
     """
-    share = np.exp(-_squared_step(color, blocks) * np.float32(0.25 / color_sigma**2))
+    share = np.exp(-squared_step * np.float32(0.25 / color_sigma**2))
     rows, columns = share.shape
     lessened = weights.copy()
     for number, (down, right) in enumerate(STEPS):
@@ -55,8 +53,14 @@ def less_at_blurred_edges(
     return lessened
 
 
-def _squared_step(color: Float32, blocks: Blocks) -> Float32:
-    """Return the square of how much the smoothed colour changes across 8 px: (R, C)."""
+def squared_step_of(color: Float32, blocks: Blocks) -> Float32:
+    """Return the square of how much the smoothed colour changes across 8 px: (R, C).
+
+    Parameters
+    ----------
+    color : (H, W, channels) float32 ndarray
+    blocks : Blocks
+    """
     across = _ACROSS / _SIDE
     total = np.zeros([-(-length // _SIDE) for length in color.shape[:2]], np.float32)
     for channel in range(color.shape[2]):

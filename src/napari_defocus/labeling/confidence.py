@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 
 from napari_defocus.core.image import given_array
 from napari_defocus.core.progress import Progress, silent
+from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
@@ -166,18 +168,7 @@ def features_of(
     depth : (R, C) ndarray
         Of the averaged curve, from its top to its bottom, at most 15.
     """
-    depth = np.ptp(curve, axis=2)
-    likelihood = curve + log_prior(candidates.scales)
-    best = candidates.scales[likelihood.argmax(axis=2)]
-    likelihood -= likelihood.max(axis=2, keepdims=True)
-    likelihood *= np.float32(_TEMPER)
-    np.exp(likelihood, out=likelihood)
-    spacing = _spacing(candidates)
-    likelihood *= spacing
-    away = candidates.scales.astype(np.float32) - radius[..., None]
-    allowed = tolerance(radius)
-    agrees = np.abs(away, out=away) <= allowed[..., None] + _ROUNDING
-    share = np.sum(likelihood, axis=2, where=agrees) / likelihood.sum(axis=2)
+    depth, best, share, prior = _compared(candidates, curve, radius)
     told = np.log(np.clip(radius, _HARDLY, _CLEARLY) / _HARDLY) / np.log(_CLEARLY / _HARDLY)
     features = (
         np.log((share + _LEAST_ODDS) / (1 - share + _LEAST_ODDS)),
@@ -185,11 +176,64 @@ def features_of(
         told,
         depth,
         np.full(depth.shape, _log_noise(candidates)),
-        np.log(np.abs(best - radius) / allowed + _LEAST_AWAY),
+        np.log(np.abs(best - radius) / tolerance(radius) + _LEAST_AWAY),
         _strength(candidates),
         _preference(candidates),
     )
-    return np.stack(features), np.sum(agrees * spacing, axis=2) / spacing.sum(), depth
+    return np.stack(features), prior, depth
+
+
+def _compared(candidates: BlurCandidates, curve: Float32, radius: Float64) -> Float32:
+    """Hold averaged curves against a map: (4, R, C).
+
+    Returns
+    -------
+    (4, R, C) float32 ndarray
+        The depth of the curve; its likeliest scale; the share of the likelihood within the
+        `tolerance` of the radius, and the share of the scales.
+    """
+    scales, spacing = candidates.scales.astype(np.float32), _spacing(candidates)
+    near = radius.astype(np.float32), (tolerance(radius) + _ROUNDING).astype(np.float32)
+    found = np.empty((4, *curve.shape[:2]), np.float32)
+    given = curve, log_prior(candidates.scales), scales, spacing, *near
+    in_bands(_compare_rows, len(curve), *given, found)
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _compare_rows(
+    start: int,
+    stop: int,
+    curve: Float32,
+    prior: Float32,
+    scales: Float32,
+    spacing: Float32,
+    radius: Float32,
+    allowed: Float32,
+    found: Float32,
+) -> None:
+    every = spacing.sum()
+    for row in range(start, stop):
+        for column in range(curve.shape[1]):
+            low = high = curve[row, column, 0]
+            best, top = 0, curve[row, column, 0] + prior[0]
+            for label in range(1, len(scales)):
+                value = curve[row, column, label]
+                low, high = min(low, value), max(high, value)
+                if value + prior[label] > top:
+                    best, top = label, value + prior[label]
+            inside, total, agreed = 0.0, 0.0, 0.0
+            for label in range(len(scales)):
+                below = curve[row, column, label] + prior[label] - top
+                likelihood = spacing[label] * np.exp(np.float32(_TEMPER) * below)
+                total += likelihood
+                if abs(scales[label] - radius[row, column]) <= allowed[row, column]:
+                    inside += likelihood
+                    agreed += spacing[label]
+            found[0, row, column] = high - low
+            found[1, row, column] = scales[best]
+            found[2, row, column] = inside / total
+            found[3, row, column] = agreed / every
 
 
 def _log_noise(candidates: BlurCandidates) -> float:

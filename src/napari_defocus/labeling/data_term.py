@@ -98,3 +98,19 @@ def _limit_rows(
             for scale in range(curve.shape[2]):
                 below = min(top - limited[row, column, scale], depth)
                 limited[row, column, scale] = weight[row, column] * below
+
+
+def least_of_both(data: Float32, first: int) -> Float32:
+    """Return the least costs beyond and among the first labels, at each window: (R, C, 2)."""
+    least = np.full((*data.shape[:2], 2), np.inf, np.float32)
+    in_bands(_least_of_rows, len(data), data, first, least)
+    return least
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _least_of_rows(start: int, stop: int, data: Float32, first: int, least: Float32) -> None:
+    for row in range(start, stop):
+        for column in range(data.shape[1]):
+            for label in range(data.shape[2]):
+                side = int(label < first)
+                least[row, column, side] = min(least[row, column, side], data[row, column, label])

@@ -4,35 +4,38 @@ The energy is (14): sum_x D_x(l_x) + sum_(x, v) w_xv |l_x - l_v|, over the 8 nei
 node. |l - m| counts the thresholds between two labels, and those beyond the label `WIDE` may have
 weights of their own. Two kinds of minimum cuts change many labels at once:
 
-- a fusion offers every node one other label, any label, and is a plain minimum cut, because
-  |a - b| is submodular in "the node has the larger of its two labels"; it is an expansion if all
+- a fusion offers every node one other label, any label (`fusions`); it is an expansion if all
   offers are the same label;
 - Ishikawa's graph, with a node for each threshold between two labels, gives the exact optimum
   over all labels; it is for few nodes, or few labels.
 
-The coarsest grid is solved exactly; fusions go on from there. Most of the flow of a cut is
-found by passing messages before PyMaxflow looks for paths. This is the only file that knows
-PyMaxflow.
+The coarsest grid is solved exactly; fusions go on from there, part by part (`parts`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import maxflow
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from napari_defocus.core.progress import Progress, silent, within
+from napari_defocus.core.threads import in_order
+from napari_defocus.labeling.fusions import change_of, fuse, fuse_in_place, weighted
+from napari_defocus.labeling.minimum_cuts import sink_side
 from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, coarser, finer
+from napari_defocus.labeling.parts import Part, groups_of_parts
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.floating]
 Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 Places = NDArray[np.int64]
+Free = tuple[int, int, int, int]
+Moves = Callable[[Labels, Float32, Float32, Free], None]
 
 _STEP = "Choosing labels"
 
@@ -51,21 +54,8 @@ _LEAST_GAIN = 1e-6
 _NEVER = 1e12
 """Capacity of edges that no cut may separate; energies stay far below."""
 
-_ROUNDS = 10
-"""Of message passing to and fro before a cut: speed only, the cut is the same."""
 
-_NEGLIGIBLE = 1e-4
-"""If leaving all nodes as they are, or giving all one side, costs at most so much a node more than
-the best cut, that is taken; a pixel with clear evidence has 360. Without texture, what message
-passing leaves is rounding and takes long to cut: 48 s for a map of 800 x 800 px of noise, now 2.
-"""
-
-_SHARE = np.float32(0.25)
-"""The share of a node's cost that each neighbour gets: a node has 4 edges on either side."""
-
-
-@dataclass(frozen=True)
-class _Sweep:
+class _Sweep(NamedTuple):
     """Which labels are offered to which nodes: every `step`-th, near the nodes that have it.
 
     Attributes
@@ -191,7 +181,7 @@ def solve_exactly(data: Float32, weights: Float32, wide: int = WIDE) -> Labels:
         return _fuse_labels(low, low + np.int32(1), data, weights)
     edges = Edges.of_grid(weights)
     graph = _threshold_graph(data.reshape(-1, count), *edges.arrays, wide)
-    return _sink_side(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
+    return sink_side(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
 
 
 def improve(
@@ -220,52 +210,162 @@ def improve(
     -------
     (R, C) int32 ndarray
     """
-    labels = _fuse_labels(start, data.argmin(axis=2).astype(np.int32), data, weights)
-    for beside in (minimum_filter, maximum_filter):
-        labels = _fuse_labels(labels, beside(labels, 3), data, weights)
-    if everywhere:
-        labels = _expand_near(labels, _CLOSE, data, weights, within(progress, 0, 0.3))
-        for alpha in range(0, data.shape[2], _EVERYWHERE):
-            labels = expand(labels, alpha, data, weights)
-    else:
-        labels = _expand_near(labels, _FAR, data, weights, within(progress, 0, 0.6))
-    return _expand_near(labels, _CLOSE, data, weights, within(progress, 0.6, 1))
+
+    def first(labels: Labels, data: Float32, weights: Float32, free: Free) -> None:
+        _offer_best_and_beside(labels, data, weights, free)
+        if everywhere:
+            _sweep(labels, data, weights, free, *_CLOSE)
+            _offer_to_all(labels, data, weights, free, _EVERYWHERE)
+        else:
+            _sweep(labels, data, weights, free, *_FAR)
+
+    def last(labels: Labels, data: Float32, weights: Float32, free: Free) -> None:
+        _sweep(labels, data, weights, free, *_CLOSE)
+
+    labels = _in_parts(first, start, data, weights, False, within(progress, 0, 0.7))
+    return _in_parts(last, labels, data, weights, True, within(progress, 0.7, 1))
 
 
-def _expand_near(
-    labels: Labels,
-    sweep: _Sweep,
+def _in_parts(
+    moves: Moves,
+    start: Labels,
     data: Float32,
     weights: Float32,
+    shifted: bool,
     progress: Progress,
 ) -> Labels:
-    """Offer labels to the nodes near those that have about this label."""
-    count = data.shape[2]
-    for alpha in range(0, count, sweep.step):
-        progress(_STEP, alpha / count)
-        place = _near(labels, alpha, sweep.reach, sweep.grow)
-        labels = _expand_at(labels, alpha, place, data, weights)
+    """Lower the energy of the parts of a grid, while what is around each is held."""
+    labels = start.copy()
+
+    def moved(part: Part) -> Labels:
+        rows, columns = part.seen
+        own = labels[part.seen].copy()
+        costs = np.ascontiguousarray(data[part.seen])
+        moves(own, costs, np.ascontiguousarray(weights[:, rows, columns]), part.free)
+        return own
+
+    groups = groups_of_parts(labels.shape, shifted=shifted)
+    done, total = 0, sum(len(group) for group in groups)
+    for group in groups:
+        for part, own in zip(group, in_order(moved, group), strict=True):
+            progress(_STEP, done / total)
+            top, bottom, left, right = part.free
+            mine = own[top:bottom, left:right]
+            labels[slice(*part.rows), slice(*part.columns)] = mine
+            done += 1
     return labels
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _near(labels: Labels, alpha: int, reach: int, grow: int) -> Places:
-    """Return the nodes of other labels around those whose label is near alpha."""
+def _offer_best_and_beside(labels: Labels, data: Float32, weights: Float32, free: Free) -> None:
+    """Offer nodes their own best label, then the least and the largest of those beside them."""
+    proposal = labels.copy()
+    for offer in range(3):
+        for i in range(free[0], free[1]):
+            for j in range(free[2], free[3]):
+                if offer == 0:
+                    proposal[i, j] = np.argmin(data[i, j])
+                    continue
+                for y in range(max(i - 1, 0), min(i + 2, labels.shape[0])):
+                    for x in range(max(j - 1, 0), min(j + 2, labels.shape[1])):
+                        if offer == 1:
+                            proposal[i, j] = min(proposal[i, j], labels[y, x])
+                        else:
+                            proposal[i, j] = max(proposal[i, j], labels[y, x])
+        place = np.flatnonzero(labels != proposal)
+        fuse_in_place(labels, proposal, place, change_of(labels, proposal, place, data), weights)
+        proposal[:] = labels
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _offer_to_all(labels: Labels, data: Float32, weights: Float32, free: Free, step: int) -> None:
+    """Offer every so many labels to all nodes."""
+    proposal = labels.copy()
+    for alpha in range(0, data.shape[2], step):
+        place = _others(labels, alpha, free)
+        _expand_at(labels, proposal, alpha, place, data, weights)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _others(labels: Labels, alpha: int, free: Free) -> Places:
+    """Return the free nodes of other labels."""
+    place = np.empty(labels.size, np.int64)
+    count = 0
+    for i in range(free[0], free[1]):
+        for j in range(free[2], free[3]):
+            if labels[i, j] != alpha:
+                place[count] = i * labels.shape[1] + j
+                count += 1
+    return place[:count].copy()
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _sweep(
+    labels: Labels,
+    data: Float32,
+    weights: Float32,
+    free: Free,
+    reach: int,
+    grow: int,
+    step: int,
+) -> None:
+    """Offer labels to the nodes near those that have about this label."""
+    count = data.shape[2]
+    proposal = labels.copy()
+    # Labels that may be there: those at the beginning, and those that were offered.
+    present = np.zeros(count, np.bool_)
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            present[labels[i, j]] = True
+    for alpha in range(0, count, step):
+        if present[max(alpha - reach, 0) : alpha + reach + 1].any():
+            place = _near(labels, alpha, reach, grow, free)
+            _expand_at(labels, proposal, alpha, place, data, weights)
+            present[alpha] = True
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _expand_at(
+    labels: Labels, proposal: Labels, alpha: int, place: Places, data: Float32, weights: Float32
+) -> None:
+    """Let a label take nodes among some. `proposal` is as the labels are, before and after."""
+    columns = labels.shape[1]
+    for at in place:
+        proposal[at // columns, at % columns] = alpha
+    fuse_in_place(labels, proposal, place, change_of(labels, proposal, place, data), weights)
+    for at in place:
+        proposal[at // columns, at % columns] = labels[at // columns, at % columns]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _near(labels: Labels, alpha: int, reach: int, grow: int, free: Free) -> Places:
+    """Return the free nodes of other labels around those whose label is near alpha."""
     rows, columns = labels.shape
-    near = np.zeros((rows, columns), np.bool_)
-    first, last = rows, -1
+    along = np.zeros((rows, columns), np.uint8)
     for i in range(rows):
+        done = 0
         for j in range(columns):
             if abs(labels[i, j] - alpha) <= reach:
-                for y in range(max(0, i - grow), min(rows, i + grow + 1)):
-                    for x in range(max(0, j - grow), min(columns, j + grow + 1)):
-                        near[y, x] = True
-                first, last = min(first, i - grow), i + grow
+                stop = min(j + grow + 1, columns)
+                for x in range(max(done, j - grow), stop):
+                    along[i, x] = 1
+                done = stop
+    # How many of the rows within reach are marked, at each column.
+    marked = np.zeros(columns, np.uint8)
+    for i in range(max(free[0] - grow, 0), min(free[0] + grow, rows)):
+        for j in range(columns):
+            marked[j] += along[i, j]
     place = np.empty(rows * columns, np.int64)
     count = 0
-    for i in range(max(first, 0), min(last + 1, rows)):
-        for j in range(columns):
-            if near[i, j] and labels[i, j] != alpha:
+    for i in range(free[0], free[1]):
+        if i + grow < rows:
+            for j in range(columns):
+                marked[j] += along[i + grow, j]
+        if i - grow - 1 >= max(free[0] - grow, 0):
+            for j in range(columns):
+                marked[j] -= along[i - grow - 1, j]
+        for j in range(free[2], free[3]):
+            if marked[j] and labels[i, j] != alpha:
                 place[count] = i * columns + j
                 count += 1
     return place[:count].copy()
@@ -294,31 +394,15 @@ def expand_until_settled(
 
 def expand(labels: Labels, alpha: int, data: Float32, weights: Float32) -> Labels:
     """Let the label alpha take the nodes that it should have: an expansion move."""
-    return _expand_at(labels, alpha, np.flatnonzero(labels != alpha), data, weights)
-
-
-def _expand_at(
-    labels: Labels, alpha: int, place: Places, data: Float32, weights: Float32
-) -> Labels:
-    proposal = labels.copy()
-    proposal.ravel()[place] = alpha
-    return fuse(labels, proposal, place, _change(labels, proposal, place, data), weights)
+    expanded = labels.copy()
+    place = np.flatnonzero(labels != alpha)
+    _expand_at(expanded, labels.copy(), alpha, place, data, weights)
+    return expanded
 
 
 def _fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float32) -> Labels:
     place = np.flatnonzero(labels != proposal)
-    return fuse(labels, proposal, place, _change(labels, proposal, place, data), weights)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _change(labels: Labels, proposal: Labels, place: Places, data: Float32) -> Float64:
-    """Return D of the proposed label minus D of the present one, at some nodes."""
-    columns = labels.shape[1]
-    change = np.empty(len(place))
-    for k in range(len(place)):
-        i, j = place[k] // columns, place[k] % columns
-        change[k] = data[i, j, proposal[i, j]] - data[i, j, labels[i, j]]
-    return change
+    return fuse(labels, proposal, place, change_of(labels, proposal, place, data), weights)
 
 
 @dataclass(frozen=True)
@@ -371,7 +455,7 @@ def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
                     low = min(labels[i, j], labels[y, x])
                     high = max(labels[i, j], labels[y, x])
                     given = weights[k, i, j], weights[beyond + k, i, j]
-                    energy += _weighted(low, high, *given)
+                    energy += weighted(low, high, *given)
     return energy
 
 
@@ -404,165 +488,3 @@ def _threshold_graph(
             back[count] = forth[count]
             count += 1
     return cost, tail, head, forth, back
-
-
-def _sink_side(cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64) -> Mask:
-    """Cut a graph at the least cost and return which nodes are on the sink's side.
-
-    `cost` is paid by each node on that side, `forth` by each arc from the source's side to it,
-    `back` by each arc the other way.
-    """
-    if not len(cost):
-        return np.zeros(0, bool)
-    graph = maxflow.GraphFloat(len(cost), len(tail))
-    nodes = graph.add_nodes(len(cost))
-    graph.add_edges(tail, head, forth, back)
-    graph.add_grid_tedges(nodes, np.maximum(cost, 0), np.maximum(-cost, 0))
-    graph.maxflow()
-    return graph.get_grid_segments(nodes)
-
-
-def fuse(
-    labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
-) -> Labels:
-    """Take the proposed label at the best set of nodes: one minimum cut.
-
-    Parameters
-    ----------
-    labels, proposal : (R, C) int32 ndarray
-    place : (P,) int64 ndarray
-        Where they differ, as places in the flat grid, in order.
-    change : (P,) float64 ndarray
-        D of the proposed label minus D of the present one.
-    weights : (4, R, C) or (8, R, C) float32 ndarray
-
-    Returns
-    -------
-    (R, C) int32 ndarray
-    """
-    if not len(place):
-        return labels
-    cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
-    forth, back = _flow(cost, tail, head, capacity)
-    now, new = labels.ravel()[place], proposal.ravel()[place]
-    for upper in (now > new, np.zeros(len(cost), bool), np.ones(len(cost), bool)):
-        if _most_gained(upper, cost, tail, head, forth, back) <= _NEGLIGIBLE * len(cost):
-            break
-    else:
-        upper = _sink_side(cost, tail, head, forth, back)
-    fused = labels.copy()
-    fused.ravel()[place] = np.where(upper, np.maximum(now, new), np.minimum(now, new))
-    return fused
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _most_gained(
-    upper: Mask, cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64
-) -> float:
-    """Return how far the cost of a cut is above all that any cut may cost less."""
-    gain = 0.0
-    for node in range(len(cost)):
-        gain += max(cost[node], 0.0) if upper[node] else max(-cost[node], 0.0)
-    for edge in range(len(tail)):
-        if upper[tail[edge]] != upper[head[edge]]:
-            gain += forth[edge] if upper[head[edge]] else back[edge]
-    return gain
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _fusion_graph(
-    labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
-) -> tuple[Float64, Labels, Labels, Float32]:
-    """Return unary costs and edges of the binary variables "the node has its larger label".
-
-    |l - m| is a sum over thresholds: those between a node's two labels join it to a neighbour if
-    they are between that one's two labels as well, and are unary costs if not.
-    """
-    rows, columns = labels.shape
-    node = np.full((rows, columns), -1, np.int32)
-    for here in range(len(place)):
-        node[place[here] // columns, place[here] % columns] = here
-    cost = np.zeros(len(place))
-    beyond = len(weights) - HALF
-    tail, head = np.empty(4 * len(place), np.int32), np.empty(4 * len(place), np.int32)
-    capacity = np.empty(4 * len(place), np.float32)
-    edges = 0
-    for here in range(len(place)):
-        i, j = place[here] // columns, place[here] % columns
-        low, high = labels[i, j], proposal[i, j]
-        if low < high:
-            cost[here] += change[here]
-        else:
-            low, high = high, low
-            cost[here] -= change[here]
-        for k, (down, right) in enumerate(STEPS):
-            y, x = i + down, j + right
-            if y < rows and 0 <= x < columns:
-                there = node[y, x]
-                given = weights[k, i, j], weights[beyond + k, i, j]
-                least = min(labels[y, x], proposal[y, x])
-                most = max(labels[y, x], proposal[y, x])
-                cost[here] += _outside(low, high, least, most, *given)
-                if there >= 0:
-                    cost[there] += _outside(least, most, low, high, *given)
-                    bottom, top = max(low, least), min(high, most)
-                    if top > bottom:
-                        tail[edges], head[edges] = here, there
-                        capacity[edges] = _weighted(bottom, top, *given)
-                        edges += 1
-            y, x = i - down, j - right
-            if y >= 0 and 0 <= x < columns and node[y, x] < 0:
-                beside = labels[y, x]
-                given = weights[k, y, x], weights[beyond + k, y, x]
-                cost[here] += _outside(low, high, beside, beside, *given)
-    return cost, tail[:edges], head[:edges], capacity[:edges]
-
-
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def _weighted(low: int, high: int, weight: np.float32, beyond: np.float32) -> np.float32:
-    """Add up the weights of the thresholds from one label to a higher one."""
-    near = min(high, WIDE) - min(low, WIDE)
-    return weight * near + beyond * (high - low - near)
-
-
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-def _outside(
-    low: int, high: int, least: int, most: int, weight: np.float32, beyond: np.float32
-) -> np.float32:
-    """Add up thresholds from low to high that are above most, less those below least."""
-    above = _weighted(max(low, most), max(high, most), weight, beyond)
-    return above - _weighted(min(low, least), min(high, least), weight, beyond)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _flow(cost: Float64, tail: Labels, head: Labels, capacity: Float32) -> tuple[Float64, Float64]:
-    """Send most of the flow by passing messages; return what is left of each edge, there and back.
-
-    Some rounds of TRW-S: a node tells its neighbours the share of its own cost that they may
-    have, to and fro. Any flow within the capacities leaves the same cut the least one, and the
-    search for paths has less to do. Edges are sorted by tail, and a tail comes before its head.
-    """
-    count = len(tail)
-    total = cost.astype(np.float32)
-    sent, returned = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    for _ in range(_ROUNDS):
-        for edge in range(count):
-            limit = capacity[edge]
-            message = _SHARE * total[tail[edge]] - returned[edge]
-            message = min(max(message, -limit), limit)
-            total[head[edge]] += message - sent[edge]
-            sent[edge] = message
-        for edge in range(count - 1, -1, -1):
-            limit = capacity[edge]
-            message = _SHARE * total[head[edge]] - sent[edge]
-            message = min(max(message, -limit), limit)
-            total[tail[edge]] += message - returned[edge]
-            returned[edge] = message
-    forth, back = np.empty(count), np.empty(count)
-    for edge in range(count):
-        flow = np.float32(0.5) * (sent[edge] - returned[edge])
-        flow = min(max(flow, -capacity[edge]), capacity[edge])
-        cost[head[edge]] += flow
-        cost[tail[edge]] -= flow
-        forth[edge], back[edge] = capacity[edge] - flow, capacity[edge] + flow
-    return forth, back

@@ -91,8 +91,11 @@ class Blocks:
     def edge_weights(self, color: Float32, color_sigma: float, smoothness: float) -> Float32:
         """Add up lambda of (16) over the pixel pairs between neighbouring blocks: (4, R, C)."""
         sharpness = np.float32(0.5 / color_sigma**2)
-        joined = _block_weights(color, self.row_of_pixel, self.column_of_pixel, sharpness)
-        return joined * np.float32(smoothness)
+        joined = np.zeros((4, len(self.row_centers), len(self.column_centers)), np.float32)
+        given = color, self.row_of_pixel, self.column_of_pixel, sharpness
+        in_bands(_weigh_blocks, len(self.row_centers), *given, joined)
+        joined *= np.float32(smoothness)
+        return joined
 
 
 def _position(centers: Float64, window_of_pixel: NDArray[np.int64]) -> Float64:
@@ -105,20 +108,26 @@ def _nearest(centers: Float64, length: int) -> NDArray[np.int64]:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _block_weights(
-    color: Float32, row_block: NDArray[np.int64], column_block: NDArray[np.int64], sharpness: float
-) -> Float32:
+def _weigh_blocks(
+    start: int,
+    stop: int,
+    color: Float32,
+    row_block: NDArray[np.int64],
+    column_block: NDArray[np.int64],
+    sharpness: np.float32,
+    joined: Float32,
+) -> None:
+    """Add up the weights of some rows of blocks: each pair counts in that of its upper pixel."""
     rows, columns, _ = color.shape
-    joined = np.zeros((4, row_block[-1] + 1, column_block[-1] + 1), np.float32)
+    first, last = np.searchsorted(row_block, start), np.searchsorted(row_block, stop)
     for down, right in STEPS:
-        for i in range(rows - down):
+        for i in range(first, min(last, rows - down)):
             for j in range(max(0, -right), columns - max(0, right)):
                 here, there = row_block[i], row_block[i + down]
                 left, beside = column_block[j], column_block[j + right]
                 if here != there or left != beside:
                     weight = color_weight(color, i, j, i + down, j + right, sharpness)
                     join_blocks(joined, here, left, there, beside, weight)
-    return joined
 
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)

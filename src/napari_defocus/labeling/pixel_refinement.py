@@ -22,7 +22,7 @@ from scipy.ndimage import (
 
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
-from napari_defocus.labeling.graph_cuts import Places, fuse
+from napari_defocus.labeling.fusions import Places, fuse
 from napari_defocus.labeling.multigrid import STEPS, coarser, finer
 from napari_defocus.labeling.pairwise_term import Blocks, color_weight, pixel_weights
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.progress import Progress, silent
+from napari_defocus.labeling.blurred_edges import squared_step_of
 from napari_defocus.labeling.data_term import EXTRA_OF_SHARP, data_term
 from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
@@ -83,7 +84,8 @@ class LabelingProblem:
         return color_sigma * intensities.contrast / intensities.unit
 
     @cached_property
-    def _data_term(self) -> Float32:
+    def data_term(self) -> Float32:
+        """The cost of each scale at each window, see `data_term`: (R, C, L)."""
         return data_term(self.own)
 
     @cached_property
@@ -100,11 +102,23 @@ class LabelingProblem:
             return area
         return area + EXTRA_OF_SHARP * self.blocks.count(sharp).astype(np.float32)
 
-    def cost(self, curve_weight: np.float32) -> Float32:
-        """Return `data_term`, in the mode "curve" times a weight: (R, C, L)."""
-        if self.candidates.mode == "paper":
-            return self._data_term
-        return curve_weight * self._data_term
+    def block_cost(self, curve_weight: np.float32) -> Float32:
+        """Return `data_term` of all pixels of each block, times `unit`: (R, C, L)."""
+        return self.data_term * (self.unit(curve_weight) * self.block_weight)[..., None]
+
+    def unit(self, curve_weight: np.float32) -> float:
+        """Return the weight of `data_term` in the energy: that, but in the mode "paper" 1."""
+        return 1.0 if self.candidates.mode == "paper" else float(curve_weight)
+
+    @cached_property
+    def squared_step(self) -> Float32:
+        """How much the colour changes at edges that may be blurred, see `squared_step_of`."""
+        return squared_step_of(self.color, self.blocks)
+
+    @cached_property
+    def pairs(self) -> Float32:
+        """How many pairs of pixels there are between neighbouring blocks: (4, R, C)."""
+        return self.blocks.edge_weights(np.zeros((*self.picture.shape, 1), np.float32), 1.0, 1.0)
 
 
 def _picture_of(

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.blurred_edges import less_at_blurred_edges
+from napari_defocus.labeling.data_term import least_of_both
 from napari_defocus.labeling.focus_threshold import settled, threshold_in_px
 from napari_defocus.labeling.graph_cuts import solve_exactly
 from napari_defocus.labeling.known import with_unknown_left
@@ -104,7 +105,7 @@ def _problem_of_blocks(
     blocks, color = problem.blocks, problem.color
     weights = blocks.edge_weights(color, sigma, share * settings.smoothness)
     if problem.candidates.mode == "curve":
-        weights = less_at_blurred_edges(weights, color, blocks, sigma)
+        weights = less_at_blurred_edges(weights, problem.squared_step, sigma)
     block_cost = cost * problem.block_weight[..., None]
     if fixed is not None:
         block_cost += _seed_cost(fixed, blocks)
@@ -151,6 +152,5 @@ def focus_cost(problem: LabelingProblem, threshold: float) -> Float32:
     The mode "curve" takes 10 times the limited depth, at most 150; the paper's artificial
     likelihood costs at most 55.
     """
-    cost = problem.cost(_CURVE_WEIGHT)
-    sharp = problem.own.scales <= threshold + 1e-9
-    return np.stack([cost[..., ~sharp].min(axis=2), cost[..., sharp].min(axis=2)], axis=2)
+    sharp = int(np.count_nonzero(problem.own.scales <= threshold + 1e-9))
+    return problem.unit(_CURVE_WEIGHT) * least_of_both(problem.data_term, sharp)
