@@ -29,7 +29,7 @@ from napari_defocus.labeling.graph_cuts import (
     improve,
     solve_exactly,
 )
-from napari_defocus.labeling.minimum_cuts import sink_side
+from napari_defocus.labeling.minimum_cuts import sink_side, sink_side_of_one
 from napari_defocus.labeling.multigrid import _RELAXATION, STEPS, _joined_weights, coarser
 from napari_defocus.labeling.pairwise_term import Blocks, pixel_weights
 from napari_defocus.labeling.pixel_refinement import (
@@ -385,6 +385,19 @@ def test_sink_side_is_the_smallest_of_the_least_cuts(seed):
     best = [side for side, value in costs.items() if value == min(costs.values())]
     found = sink_side(cost, tail, head, forth, back)
     assert tuple(found.astype(int)) == min(best, key=sum)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_our_own_cuts_are_those_of_pymaxflow(seed):
+    pytest.importorskip("maxflow", reason="Python 3.14 has no wheel of PyMaxflow")
+    rng = np.random.default_rng(seed)
+    tail, head = rng.integers(0, 60, (2, 400)).astype(np.int32)
+    tail, head = tail[tail != head], head[tail != head]
+    cost = rng.normal(0, 12, 60)
+    forth, back = rng.exponential(1, (2, len(tail)))
+    graph = cost, tail, head, forth, back
+    np.testing.assert_array_equal(sink_side(*graph), sink_side_of_one(*graph))
+    assert 0 < sink_side(*graph).sum() < 60
 
 
 def test_nodes_near_a_label_are_those_around_nodes_that_have_about_it():

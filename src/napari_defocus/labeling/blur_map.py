@@ -29,6 +29,7 @@ from napari_defocus.labeling.pixel_refinement import (
     label_pixels,
 )
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
+from napari_defocus.labeling.wide_jumps import less_at_wide_jumps
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP, nearest_labels
 from napari_defocus.likelihood.candidates import (
     BlurCandidates,
@@ -123,10 +124,11 @@ def _problem_of_blocks(problem: LabelingProblem, settings: MapSettings) -> tuple
     """Return D of (14) for the pixels of each block, and the blocks' weights."""
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, settings.smoothness)
-    if problem.candidates.mode == "curve":
-        beyond = less_at_blurred_edges(weights, problem.squared_step, sigma)
-        weights = np.concatenate([weights, beyond])
-    return problem.block_cost(CURVE_WEIGHT), weights
+    cost = problem.block_cost(CURVE_WEIGHT)
+    if problem.candidates.mode == "paper":
+        return cost, weights
+    beyond = less_at_blurred_edges(weights, problem.squared_step, sigma)
+    return cost, less_at_wide_jumps(np.concatenate([weights, beyond]), cost)
 
 
 def coarse_problem(

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.threads import in_order
 from napari_defocus.labeling.fusions import change_of, fuse, fuse_in_place, weighted
-from napari_defocus.labeling.minimum_cuts import sink_side
+from napari_defocus.labeling.minimum_cuts import sink_side_of_one
 from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, coarser, finer
 from napari_defocus.labeling.parts import Part, groups_of_parts
 
@@ -181,7 +181,7 @@ def solve_exactly(data: Float32, weights: Float32, wide: int = WIDE) -> Labels:
         return _fuse_labels(low, low + np.int32(1), data, weights)
     edges = Edges.of_grid(weights)
     graph = _threshold_graph(data.reshape(-1, count), *edges.arrays, wide)
-    return sink_side(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
+    return sink_side_of_one(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
 
 
 def improve(

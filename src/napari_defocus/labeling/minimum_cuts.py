@@ -6,7 +6,9 @@ a path is found and filled; nodes that lose their parent by that look for anothe
 holds the fewest nodes that are on its side in any least cut. So the result does not depend on the
 order of paths, but for rounding.
 
-The kernel runs without the GIL, so that cuts of several parts of a grid run at once.
+The kernel runs without the GIL, so that cuts of several parts of a grid run at once. One large graph
+is cut by PyMaxflow, which has the same result, where it is installed: Python 3.14 has no wheel of it.
+This is the only file that knows PyMaxflow.
 """
 
 from __future__ import annotations
@@ -14,6 +16,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+try:
+    import maxflow
+except ModuleNotFoundError:
+    maxflow = None
 
 Float64 = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -28,6 +35,21 @@ _FREE, _ROOT, _ORPHAN = -1, -2, -3
 itself; it has lost its parent."""
 
 _ENDLESS = 2**30
+
+
+def sink_side_of_one(
+    cost: Float64, tail: Numbers, head: Numbers, forth: Float64, back: Float64
+) -> Mask:
+    """Do what `sink_side` does for one large graph, by PyMaxflow if there is one."""
+    if maxflow is None or not len(cost):
+        return sink_side(cost, tail, head, forth, back)
+    graph = maxflow.GraphFloat(len(cost), len(tail))
+    nodes = graph.add_nodes(len(cost))
+    graph.add_edges(tail, head, forth, back)
+    graph.add_grid_tedges(nodes, np.maximum(cost, 0), np.maximum(-cost, 0))
+    graph.maxflow()
+    side: Mask = graph.get_grid_segments(nodes)
+    return side
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
