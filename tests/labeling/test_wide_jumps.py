@@ -33,7 +33,7 @@ def test_a_flower_does_not_take_its_ground_along():
 
 
 def test_weights_are_less_at_the_jump_alone():
-    data, weights, flower = flower_in_a_corner(depth=20)
+    data, weights, _ = flower_in_a_corner(depth=20)
     lessened = less_at_wide_jumps(weights, data)
     changed = lessened != weights
     assert changed[[0, 4]].sum() == 2 * 2 * 30

@@ -6,9 +6,9 @@ a path is found and filled; nodes that lose their parent by that look for anothe
 holds the fewest nodes that are on its side in any least cut. So the result does not depend on the
 order of paths, but for rounding.
 
-The kernel runs without the GIL, so that cuts of several parts of a grid run at once. One large graph
-is cut by PyMaxflow, which has the same result, where it is installed: Python 3.14 has no wheel of it.
-This is the only file that knows PyMaxflow.
+The kernel runs without the GIL, so that cuts of several parts of a grid run at once. One large
+graph is cut by PyMaxflow, which has the same result, where it is installed: Python 3.14 has no
+wheel of it. This is the only file that knows PyMaxflow.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from itertools import product
 Range = tuple[int, int]
 
 _SIDE, _OVERLAP = 96, 12
-"""Nodes along the side of a part, about; and those beyond its border that may change with it. Chosen
-by energies and seconds (docs/decisions.md).
+"""Nodes along the side of a part, about; and those beyond its border that may change with it.
+Chosen by energies and seconds (docs/decisions.md).
 """
 
 
