@@ -7,7 +7,7 @@ is no less likely than another one. So the windows are first told apart by three
     r <= 3 px,    3 px < r <= 8 px,    r > 8 px,
 
 with the least of D in each class as its cost, and the pairwise weights times a number of labels a
-step: one exact cut. Between neighbours of the first and of the last class, the weights of (14)
+step. Between neighbours of the first and of the last class, the weights of (14)
 are then small.
 """
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_defocus.labeling.graph_cuts import solve_exactly
+from napari_defocus.labeling.graph_cuts import minimize_energy_of_few
 from napari_defocus.labeling.multigrid import HALF, STEPS
 
 Float32 = NDArray[np.float32]
@@ -68,4 +68,4 @@ def _classes(weights: Float32, data: Float32) -> NDArray[np.int32]:
     limits = (0, _LITTLE), (_LITTLE, _MUCH), (_MUCH, data.shape[2])
     cost = np.stack([data[..., slice(*limit)].min(axis=2) for limit in limits], axis=2)
     each = (1 - _BEYOND) * weights[:HALF] + _BEYOND * weights[HALF:]
-    return solve_exactly(cost, _PRICE / 2 * each)
+    return minimize_energy_of_few(cost, _PRICE / 2 * each)
