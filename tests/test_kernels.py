@@ -14,7 +14,8 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 import napari_defocus
-from napari_defocus import simulate_defocus
+from napari_defocus import Disc, simulate_defocus
+from napari_defocus.core.progress import silent
 from napari_defocus.forward.blur_operator import BlurOperator
 from napari_defocus.labeling.confidence import _compare_rows, tolerance
 from napari_defocus.labeling.continuous_refinement import _around
@@ -56,7 +57,12 @@ from napari_defocus.likelihood.scale_space import (
     joined_scales,
 )
 from napari_defocus.restoration.deconvolution import _graph_laplacian, _irls_weights
+from napari_defocus.stacks.block_shifts import block_shifts, block_spectra
 from napari_defocus.stacks.depth_from_focus import _LEAST_DISPERSION, _MOST_DEVIANCE, _deviances
+from napari_defocus.stacks.fusion import blended
+from napari_defocus.stacks.plane_weights import Shares
+from napari_defocus.stacks.pyramids import assembled, pyramid
+from napari_defocus.stacks.shown_detail import ShownDetail
 
 pytestmark = pytest.mark.kernel
 
@@ -599,6 +605,32 @@ def test_curves_between_windows_are_interpolated_and_added():
     expected = 0.5 + 2 * expected
     expected[0, 0] = 1
     np.testing.assert_allclose(total, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(1, 5, 1), (18, 17, 2)])
+def test_a_picture_is_the_sum_of_its_sizes_of_detail(shape):
+    picture = np.random.default_rng(0).random(shape)
+    np.testing.assert_allclose(assembled(pyramid(picture, 2)), picture, atol=1e-15)
+
+
+def test_blocks_that_move_round_their_border_have_moved_by_that():
+    block = np.random.default_rng(0).standard_normal((12, 12)).astype(np.float32)
+    pair = [block_spectra(one[None]) for one in (block, np.roll(block, (1, -2), axis=(0, 1)))]
+    np.testing.assert_allclose(block_shifts(*pair, 12), [[1, -2]], atol=1e-3)
+
+
+def test_planes_are_put_together_from_the_sharper_one():
+    rng = np.random.default_rng(0)
+    sharp = rng.random((20, 24)).astype(np.float32)
+    sharp[2:8, 2:8] = 2
+    planes = [sharp, simulate_defocus(sharp, np.full(sharp.shape, 3.0)).astype(np.float32)]
+    shown = ShownDetail(sharp.shape, 2)
+    for number, plane in enumerate(planes):
+        shown.see(number, plane, plane)
+    shares = Shares(2, 3.0, Disc(8.0), 1e-8, shown)
+    position = np.zeros(sharp.shape, np.float32)
+    together = blended(planes.__getitem__, position, shares, silent)
+    np.testing.assert_allclose(together, sharp, atol=0.05)
 
 
 @pytest.mark.skipif(not numba.config.DISABLE_JIT, reason="compiled calls cannot be watched")

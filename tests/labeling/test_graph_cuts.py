@@ -19,7 +19,6 @@ from napari_defocus.labeling.graph_cuts import (
     expand_until_settled,
     improve,
     minimize_energy,
-    minimize_energy_of_few,
     solve_exactly,
 )
 from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, coarser
@@ -279,17 +278,6 @@ def test_labels_of_many_parts_have_no_more_energy_than_those_of_one(monkeypatch)
     many = minimize_energy(data, weights)
     energies = [energy_of(labels, data, weights) for labels in (many, one)]
     assert energies[0] <= energies[1] * 1.001
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_few_labels_have_the_energy_of_the_exact_cut(seed):
-    rng = np.random.default_rng(seed)
-    data = gaussian_filter(rng.normal(0, 30, (90, 80, 3)), (3, 3, 0)).astype(np.float32)
-    weights = grid_weights(rng, 90, 80, 0.2)
-    few, exact = minimize_energy_of_few(data, weights), solve_exactly(data, weights)
-    assert len(np.unique(exact)) == 3
-    energies = [energy_of(labels, data, weights) for labels in (few, exact)]
-    np.testing.assert_allclose(*energies, rtol=1e-3)
 
 
 def test_settled_expansions_from_given_labels_end_no_higher():

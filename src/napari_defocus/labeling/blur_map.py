@@ -29,7 +29,6 @@ from napari_defocus.labeling.pixel_refinement import (
     label_pixels,
 )
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
-from napari_defocus.labeling.wide_jumps import less_at_wide_jumps
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP, nearest_labels
 from napari_defocus.likelihood.candidates import (
     BlurCandidates,
@@ -128,7 +127,7 @@ def _problem_of_blocks(problem: LabelingProblem, settings: MapSettings) -> tuple
     if problem.candidates.mode == "paper":
         return cost, weights
     beyond = less_at_blurred_edges(weights, problem.squared_step, sigma)
-    return cost, less_at_wide_jumps(np.concatenate([weights, beyond]), cost)
+    return cost, np.concatenate([weights, beyond])
 
 
 def coarse_problem(
