@@ -140,7 +140,7 @@ _LEAST_SHARE, _UNCHANGED = 0.5, 0.95
 hand.
 """
 
-_WIDE = 12.0
+_TRANSFORMED_FROM = 12.0
 """px: scale from which on Fourier transforms of tiles are faster than sums (docs/decisions.md)."""
 
 _PRECONDITIONED_TV = 15.0
@@ -321,7 +321,7 @@ class Deconvolution:
         return power
 
     def _blur_by(self, scales: Float32) -> None:
-        self._blur = BlurOperator(scales, self._psf, self._color.shape[2], _WIDE)
+        self._blur = BlurOperator(scales, self._psf, self._color.shape[2], _TRANSFORMED_FROM)
         self._weight = self._weights(scales)
         weight, regularization = self._weight[..., 0], _PRECONDITIONED_TV * self._tv_weight
         self._preconditioner = TiledPreconditioner(
