@@ -226,7 +226,7 @@ def matte_in_focus(
     ------
     ImportError
         If PyMatting is not installed: ``pip install 'napari-defocus[matting]'``. When it is first
-        imported, it compiles itself, which takes a minute.
+        used, it is compiled, which takes some seconds.
     TypeError, ValueError
         If `image` is not a picture, or `mask` or `width` is not as above: a mask from a file may
         have 255 where it is in focus.

@@ -8,6 +8,11 @@ it, tile by tile along the border only.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -121,7 +126,8 @@ def _solved(color: Float32, known: Float32, mask: NDArray[np.uint8]) -> NDArray[
     """Return the opacity in a tile; the mask itself where it shows one side only."""
     if not ((known == 1).any() and (known == 0).any()):
         return (mask == 1).astype(np.float32)
-    from pymatting import estimate_alpha_cf, ichol
+    with _compiled_when_called():
+        from pymatting import estimate_alpha_cf, ichol
 
     channels = np.repeat(color, 3, axis=2) if color.shape[2] == 1 else color
     alpha: NDArray[np.floating] = estimate_alpha_cf(
@@ -131,3 +137,22 @@ def _solved(color: Float32, known: Float32, mask: NDArray[np.uint8]) -> NDArray[
         preconditioner=lambda matrix: ichol(matrix, shifts=_SHIFTS),
     )
     return alpha
+
+
+@contextmanager
+def _compiled_when_called() -> Iterator[None]:
+    """Let numba compile what is imported here when it is called, and no more than that.
+
+    PyMatting says the types of each of its kernels, at which numba compiles all of them at the
+    first import: 50 s, of which the four that are used here take 5. Opacities are the same.
+    """
+    at_once = numba.njit
+
+    def when_called(*signature_or_kernel: Any, **options: Any) -> Any:
+        return at_once(*filter(callable, signature_or_kernel), **options)
+
+    numba.njit = when_called
+    try:
+        yield
+    finally:
+        numba.njit = at_once
