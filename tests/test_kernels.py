@@ -67,6 +67,7 @@ from napari_defocus.stacks.shown_detail import ShownDetail
 pytestmark = pytest.mark.kernel
 
 PACKAGE = Path(napari_defocus.__file__).parent
+DECORATORS = {"compiled", "compiled_inline"}
 NOISE = 1e-5
 
 
@@ -640,7 +641,7 @@ def test_every_kernel_of_the_package_ran_above(called):
         for path in PACKAGE.rglob("*.py")
         for function in ast.walk(ast.parse(path.read_text()))
         if isinstance(function, ast.FunctionDef)
-        and any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+        and any(ast.unparse(decorator) in DECORATORS for decorator in function.decorator_list)
     }
     assert len(kernels) > 10
     assert kernels - called == set()

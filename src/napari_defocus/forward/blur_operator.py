@@ -12,9 +12,9 @@ picture on all sides.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.image import given_array
 from napari_defocus.core.threads import in_bands
 from napari_defocus.forward.wide_blur import WideBlur
@@ -211,7 +211,7 @@ def _in_lanes(weights: int) -> int:
     return -(-weights // _LANES) * _LANES
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _gather(
     start: int,
     stop: int,
@@ -246,7 +246,7 @@ def _gather(
                 blurred[row, column * channels + channel] = value
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _spread(
     start: int,
     stop: int,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.image import given_array
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
@@ -200,7 +200,7 @@ def _compared(candidates: BlurCandidates, curve: Float32, radius: Float64) -> Fl
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _compare_rows(
     start: int,
     stop: int,
@@ -212,7 +212,9 @@ def _compare_rows(
     allowed: Float32,
     found: Float32,
 ) -> None:
-    every = spacing.sum()
+    every = np.float32(0)
+    for label in range(len(spacing)):
+        every += spacing[label]
     for row in range(start, stop):
         for column in range(curve.shape[1]):
             low = high = curve[row, column, 0]

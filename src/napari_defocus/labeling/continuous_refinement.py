@@ -19,10 +19,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import qdldl
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands, in_order
 from napari_defocus.labeling.multigrid import STEPS, Float32, Labels
@@ -279,7 +279,7 @@ def _around(curve: Float32, scales: Float64, scale: Float64) -> tuple[Float64, F
     return mean, variance
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _moments_around(
     start: int,
     stop: int,

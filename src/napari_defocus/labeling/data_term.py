@@ -8,9 +8,9 @@ them prefers is chance: it does not count, and labels are extrapolated from arou
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
@@ -79,7 +79,7 @@ def _limited(curve: Float32, prior: Float32, weight: Float32, depth: np.float32)
     return limited
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _limit_rows(
     start: int,
     stop: int,
@@ -107,7 +107,7 @@ def least_of_both(data: Float32, first: int) -> Float32:
     return least
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _least_of_rows(start: int, stop: int, data: Float32, first: int, least: Float32) -> None:
     for row in range(start, stop):
         for column in range(data.shape[1]):

@@ -8,9 +8,9 @@ messages before paths are looked for.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.labeling.minimum_cuts import sink_side
 from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE
 
@@ -38,7 +38,6 @@ _SHARE = np.float32(0.25)
 """The share of a node's cost that each neighbour gets: a node has 4 edges on either side."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
 def fuse(
     labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> Labels:
@@ -62,7 +61,6 @@ def fuse(
     return fused
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
 def fuse_in_place(
     labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> None:
@@ -71,14 +69,11 @@ def fuse_in_place(
         return
     cost, tail, head, capacity = _fusion_graph(labels, proposal, place, change, weights)
     forth, back = _flow(cost, tail, head, capacity)
-    now, new = labels.ravel()[place], proposal.ravel()[place]
+    now, new = labels.take(place), proposal.take(place)
     upper = _nearly_best(now > new, cost, tail, head, forth, back)
-    for node in range(len(place)):
-        if upper[node] == (new[node] > now[node]):
-            labels[place[node] // labels.shape[1], place[node] % labels.shape[1]] = new[node]
+    np.put(labels, place, np.where(upper == (new > now), new, now))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
 def _nearly_best(
     kept: Mask, cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64
 ) -> Mask:
@@ -93,7 +88,7 @@ def _nearly_best(
     return sink_side(cost, tail, head, forth, back)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def change_of(labels: Labels, proposal: Labels, place: Places, data: Float32) -> Float64:
     """Return D of the proposed label minus D of the present one, at some nodes."""
     columns = labels.shape[1]
@@ -104,7 +99,7 @@ def change_of(labels: Labels, proposal: Labels, place: Places, data: Float32) ->
     return change
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _most_gained(
     upper: Mask, cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64
 ) -> float:
@@ -118,7 +113,7 @@ def _most_gained(
     return gain
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _fusion_graph(
     labels: Labels, proposal: Labels, place: Places, change: Float64, weights: Float32
 ) -> tuple[Float64, Labels, Labels, Float32]:
@@ -167,14 +162,14 @@ def _fusion_graph(
     return cost, tail[:edges], head[:edges], capacity[:edges]
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def weighted(low: int, high: int, weight: np.float32, beyond: np.float32) -> np.float32:
     """Add up the weights of the thresholds from one label to a higher one."""
     near = min(high, WIDE) - min(low, WIDE)
     return weight * near + beyond * (high - low - near)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _outside(
     low: int, high: int, least: int, most: int, weight: np.float32, beyond: np.float32
 ) -> np.float32:
@@ -183,7 +178,7 @@ def _outside(
     return above - weighted(min(low, least), min(high, least), weight, beyond)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _flow(cost: Float64, tail: Labels, head: Labels, capacity: Float32) -> tuple[Float64, Float64]:
     """Send most of the flow by passing messages; return what is left of each edge, there and back.
 
@@ -217,7 +212,7 @@ def _flow(cost: Float64, tail: Labels, head: Labels, capacity: Float32) -> tuple
     return forth, back
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _push(cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float64) -> None:
     """Let costs go on along edges, to and fro, until they meet some of the other sign.
 
@@ -240,7 +235,7 @@ def _push(cost: Float64, tail: Labels, head: Labels, forth: Float64, back: Float
             forth[edge] += flow
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _going_on(cost: float, met: float, forth: float, back: float, share: float) -> float:
     """Return what goes from a node to the next: a share, or what it takes to make up for both."""
     if cost > 0:

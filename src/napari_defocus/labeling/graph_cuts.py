@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.threads import in_order
 from napari_defocus.labeling.fusions import change_of, fuse, fuse_in_place, weighted
@@ -256,50 +256,39 @@ def _in_parts(
     return labels
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
 def _offer_best_and_beside(labels: Labels, data: Float32, weights: Float32, free: Free) -> None:
     """Offer nodes their own best label, then the least and the largest of those beside them."""
-    proposal = labels.copy()
-    for offer in range(3):
-        for i in range(free[0], free[1]):
-            for j in range(free[2], free[3]):
-                if offer == 0:
-                    proposal[i, j] = np.argmin(data[i, j])
-                    continue
-                for y in range(max(i - 1, 0), min(i + 2, labels.shape[0])):
-                    for x in range(max(j - 1, 0), min(j + 2, labels.shape[1])):
-                        if offer == 1:
-                            proposal[i, j] = min(proposal[i, j], labels[y, x])
-                        else:
-                            proposal[i, j] = max(proposal[i, j], labels[y, x])
+    own = slice(free[0], free[1]), slice(free[2], free[3])
+    offers: tuple[Callable[[], NDArray[Any]], ...] = (
+        lambda: data[own].argmin(axis=2),
+        lambda: _of_those_around(np.minimum, labels)[own],
+        lambda: _of_those_around(np.maximum, labels)[own],
+    )
+    for offer in offers:
+        proposal = labels.copy()
+        proposal[own] = offer()
         place = np.flatnonzero(labels != proposal)
         fuse_in_place(labels, proposal, place, change_of(labels, proposal, place, data), weights)
-        proposal[:] = labels
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+def _of_those_around(extreme: np.ufunc, labels: Labels) -> Labels:
+    """Return the least or the largest label of each node and its 8 neighbours."""
+    padded = np.pad(labels, 1, mode="edge")
+    of_rows = extreme(extreme(padded[:-2], padded[1:-1]), padded[2:])
+    found: Labels = extreme(extreme(of_rows[:, :-2], of_rows[:, 1:-1]), of_rows[:, 2:])
+    return found
+
+
 def _offer_to_all(labels: Labels, data: Float32, weights: Float32, free: Free, step: int) -> None:
     """Offer every so many labels to all nodes."""
+    mine = np.zeros(labels.shape, np.bool_)
+    mine[free[0] : free[1], free[2] : free[3]] = True
     proposal = labels.copy()
     for alpha in range(0, data.shape[2], step):
-        place = _others(labels, alpha, free)
+        place = np.flatnonzero(mine & (labels != alpha))
         _expand_at(labels, proposal, alpha, place, data, weights)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _others(labels: Labels, alpha: int, free: Free) -> Places:
-    """Return the free nodes of other labels."""
-    place = np.empty(labels.size, np.int64)
-    count = 0
-    for i in range(free[0], free[1]):
-        for j in range(free[2], free[3]):
-            if labels[i, j] != alpha:
-                place[count] = i * labels.shape[1] + j
-                count += 1
-    return place[:count].copy()
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def _sweep(
     labels: Labels,
     data: Float32,
@@ -314,9 +303,7 @@ def _sweep(
     proposal = labels.copy()
     # Labels that may be there: those at the beginning, and those that were offered.
     present = np.zeros(count, np.bool_)
-    for i in range(labels.shape[0]):
-        for j in range(labels.shape[1]):
-            present[labels[i, j]] = True
+    present[labels] = True
     for alpha in range(0, count, step):
         if present[max(alpha - reach, 0) : alpha + reach + 1].any():
             place = _near(labels, alpha, reach, grow, free)
@@ -324,20 +311,18 @@ def _sweep(
             present[alpha] = True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
 def _expand_at(
     labels: Labels, proposal: Labels, alpha: int, place: Places, data: Float32, weights: Float32
 ) -> None:
     """Let a label take nodes among some. `proposal` is as the labels are, before and after."""
-    columns = labels.shape[1]
-    for at in place:
-        proposal[at // columns, at % columns] = alpha
+    if not len(place):
+        return
+    np.put(proposal, place, alpha)
     fuse_in_place(labels, proposal, place, change_of(labels, proposal, place, data), weights)
-    for at in place:
-        proposal[at // columns, at % columns] = labels[at // columns, at % columns]
+    np.put(proposal, place, labels.take(place))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _near(labels: Labels, alpha: int, reach: int, grow: int, free: Free) -> Places:
     """Return the free nodes of other labels around those whose label is near alpha."""
     rows, columns = labels.shape
@@ -440,7 +425,7 @@ class Edges:
         return cls(first.astype(np.int32), second, weights[k, i, j], beyond)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
     """Evaluate (14) for labels (R, C), costs (R, C, L) and weights (4 or 8, R, C)."""
     rows, columns = labels.shape
@@ -459,7 +444,7 @@ def energy_of(labels: Labels, data: Float32, weights: Float32) -> float:
     return energy
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _threshold_graph(
     data: Float32, first: Labels, second: Labels, weight: Float32, beyond: Float32, wide: int
 ) -> tuple[Float64, Labels, Labels, Float64, Float64]:

@@ -14,8 +14,9 @@ wheel of it. This is the only file that knows PyMaxflow.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from napari_defocus.core.compiled import compiled, compiled_inline
 
 try:
     import maxflow
@@ -52,7 +53,6 @@ def sink_side_of_one(
     return side
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
 def sink_side(cost: Float64, tail: Numbers, head: Numbers, forth: Float64, back: Float64) -> Mask:
     """Cut a graph at the least cost and return which nodes are on the sink's side.
 
@@ -72,13 +72,11 @@ def sink_side(cost: Float64, tail: Numbers, head: Numbers, forth: Float64, back:
     excess = cost.copy()
     arcs = _arcs_of(len(cost), tail, head, forth, back)
     tree, parent = _filled(excess, arcs)
-    side = np.empty(len(cost), np.bool_)
-    for node in range(len(cost)):
-        side[node] = tree[node] == _SINK and parent[node] != _FREE
+    side: Mask = (tree == _SINK) & (parent != _FREE)
     return side
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _arcs_of(nodes: int, tail: Numbers, head: Numbers, forth: Float64, back: Float64) -> Arcs:
     """Return edges as arcs, there and back, sorted by the nodes that they leave.
 
@@ -104,7 +102,7 @@ def _arcs_of(nodes: int, tail: Numbers, head: Numbers, forth: Float64, back: Flo
     return start, to, sister, rest
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _filled(excess: Float64, arcs: Arcs) -> tuple[NDArray[np.int8], Numbers]:
     """Fill paths until there are none; return each node's tree, and the arc to its parent.
 
@@ -156,13 +154,13 @@ def _filled(excess: Float64, arcs: Arcs) -> tuple[NDArray[np.int8], Numbers]:
     return tree, parent
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _left(arc: int, tree: int, sister: Numbers, rest: Float64) -> float:
     """Return what still flows along an arc: away from the source, or towards the sink."""
     return rest[arc] if tree == _SOURCE else rest[sister[arc]]
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _wait(node: int, ring: Numbers, waits: Mask, waiting: Numbers) -> None:
     if not waits[node]:
         waits[node] = True
@@ -170,7 +168,7 @@ def _wait(node: int, ring: Numbers, waits: Mask, waiting: Numbers) -> None:
         waiting[1] += 1
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled_inline
 def _fill(
     middle: int,
     excess: Float64,
@@ -212,7 +210,7 @@ def _fill(
     return lost
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled_inline
 def _adopt(
     time: int,
     lost: int,
@@ -255,7 +253,7 @@ def _adopt(
                 lost += 1
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled_inline
 def _distance_to_root(
     node: int, time: int, to: Numbers, parent: Numbers, stamp: Numbers, distance: Numbers
 ) -> int:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.threads import in_bands
 
 Float32 = NDArray[np.float32]
@@ -60,7 +60,7 @@ def finer(labels: Labels, rows: int, columns: int) -> Labels:
     return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _join_costs(start: int, stop: int, data: Float32, price: Float32, joined: Float32) -> None:
     """Add up the costs of two by two nodes, each of which may leave the common label at a price.
 
@@ -71,7 +71,8 @@ def _join_costs(start: int, stop: int, data: Float32, price: Float32, joined: Fl
     cost = np.empty(count, np.float32)
     for i in range(2 * start, min(2 * stop, rows)):
         for j in range(columns):
-            cost[:] = data[i, j]
+            for label in range(count):
+                cost[label] = data[i, j, label]
             for label in range(1, count):
                 cost[label] = min(cost[label], cost[label - 1] + price[int(label > WIDE), i, j])
             for label in range(count - 2, -1, -1):
@@ -80,7 +81,7 @@ def _join_costs(start: int, stop: int, data: Float32, price: Float32, joined: Fl
                 joined[i // 2, j // 2, label] += cost[label]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _joined_weights(
     weights: Float32, row_block: NDArray[np.int64], column_block: NDArray[np.int64]
 ) -> Float32:
@@ -102,7 +103,7 @@ def _joined_weights(
     return joined
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def join_blocks(joined: Float32, i: int, j: int, i_to: int, j_to: int, weight: float) -> None:
     """Add the weight of one pair of members to the pair of blocks that they belong to."""
     down, right = i_to - i, j_to - j

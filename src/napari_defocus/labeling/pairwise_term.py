@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.multigrid import STEPS, join_blocks
 
@@ -107,7 +107,7 @@ def _nearest(centers: Float64, length: int) -> NDArray[np.int64]:
     return np.searchsorted(middles, np.arange(length), side="right")
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _weigh_blocks(
     start: int,
     stop: int,
@@ -119,9 +119,10 @@ def _weigh_blocks(
 ) -> None:
     """Add up the weights of some rows of blocks: each pair counts in that of its upper pixel."""
     rows, columns, _ = color.shape
-    first, last = np.searchsorted(row_block, start), np.searchsorted(row_block, stop)
     for down, right in STEPS:
-        for i in range(first, min(last, rows - down)):
+        for i in range(rows - down):
+            if not start <= row_block[i] < stop:
+                continue
             for j in range(max(0, -right), columns - max(0, right)):
                 here, there = row_block[i], row_block[i + down]
                 left, beside = column_block[j], column_block[j + right]
@@ -130,7 +131,7 @@ def _weigh_blocks(
                     join_blocks(joined, here, left, there, beside, weight)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def color_weight(
     color: Float32, row: int, column: int, row_to: int, column_to: int, sharpness: np.float32
 ) -> np.float32:
@@ -162,7 +163,7 @@ def pixel_weights(color: Float32, near: Mask, color_sigma: float, smoothness: fl
     return weights
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _weigh_rows(
     start: int, stop: int, color: Float32, near: Mask, sharpness: np.float32, weights: Float32
 ) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_dilation,
@@ -20,6 +19,7 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
 from napari_defocus.labeling.fusions import Places, fuse
@@ -203,7 +203,7 @@ def _changed(values: Labels, place: Places, new: Labels) -> Labels:
     return changed
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _interpolated_change(
     cost: Float32,
     now: Labels,
@@ -244,7 +244,7 @@ def energy_of_pixels(
     return float(evidence.sum() + smoothness * jumps.sum())
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _energy_of_rows(
     start: int,
     stop: int,
@@ -272,7 +272,7 @@ def _energy_of_rows(
                     jumps[i] += weight * abs(pixels[y, x] - label)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _interpolated(cost: Float32, label: int, y: float, x: float) -> float:
     """Return D of a label between the windows."""
     top, left = int(y), int(x)
@@ -320,7 +320,7 @@ def interpolate_labels(
     return result
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _interpolate_rows(
     start: int,
     stop: int,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.threads import in_bands
 
 Float32 = NDArray[np.float32]
@@ -22,7 +22,7 @@ def between(values: Float32, rows: Float64, columns: Float64) -> Float32:
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _interpolate(
     start: int, stop: int, values: Float32, rows: Float64, columns: Float64, found: Float32
 ) -> None:
@@ -35,14 +35,14 @@ def _interpolate(
                 found[i, j, k] = of_four(values, top, bottom, left, right, down, along, k)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def neighbors(place: float, length: int) -> tuple[int, int, np.float32]:
     """Return the windows on both sides of a place on an axis, and how far it is from the first."""
     first = min(int(place), max(length - 2, 0))
     return first, min(first + 1, length - 1), np.float32(place - first)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def of_four(
     values: Float32,
     top: int,

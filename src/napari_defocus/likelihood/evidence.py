@@ -8,10 +8,10 @@ them prefers is chance.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.candidates import BlurCandidates
 
@@ -39,7 +39,7 @@ def limited_below_top(curve: Float32) -> Float32:
     return limited
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _limit_rows(start: int, stop: int, curve: Float32, depth: np.float32, limited: Float32) -> None:
     for row in range(start, stop):
         for column in range(curve.shape[1]):

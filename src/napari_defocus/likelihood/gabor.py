@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.threads import in_bands
 
 Float32 = NDArray[np.float32]
@@ -224,7 +224,7 @@ def _filtered(samples: Float32, first: NDArray[np.int64], filters: AxisFilters) 
     return result
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _filter_some(
     start: int,
     stop: int,

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.between_windows import neighbors, of_four
 from napari_defocus.likelihood.evidence import DEPTH
@@ -104,7 +104,7 @@ class GroundBeside:
         total[self.row, self.column] = both
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _add_between(
     start: int,
     stop: int,

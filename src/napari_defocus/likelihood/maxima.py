@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.blur_spectra import (
     INDISTINCT,
@@ -132,7 +132,7 @@ def _pick_maxima(curve: Float32, scales: Float32, first: int) -> Float32:
     return picked
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _pick_some(
     start: int, stop: int, curve: Float32, scales: Float32, first: int, picked: Float32
 ) -> None:
@@ -219,7 +219,7 @@ def _padded(values: NDArray[np.floating], filling: float) -> Float32:
     return padded.reshape(*values.shape[:-1], -1, _PADDED)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _refine(
     start: int,
     stop: int,
@@ -290,7 +290,7 @@ def _refine(
                 scales[point, k] = scale
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _first_log_strength(
     relative: Float32, gain: Float32, point: int, direction: int, index: int, sums: Float32
 ) -> np.float32:
@@ -326,14 +326,14 @@ def _first_log_strength(
     return min(np.float32(np.log(s)), LARGEST_LOG)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _clear(sums: Float32, count: int) -> None:
     for k in range(count):
         for lane in range(_PADDED):
             sums[k, lane] = 0
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _add_lanes(sums: Float32, count: int) -> None:
     """Add halves of the lanes to each other until the first one holds all of them."""
     for k in range(count):
@@ -344,7 +344,7 @@ def _add_lanes(sums: Float32, count: int) -> None:
         sums[k, 0] = (sums[k, 0] + sums[k, 2]) + (sums[k, 1] + sums[k, 3])
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _profile_step(
     relative: Float32,
     gain: Float32,

@@ -23,9 +23,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.blur_spectra import SpectrumTable
 
@@ -177,7 +177,7 @@ def _in_fours(values: Float32) -> Float32:
     return np.ascontiguousarray(filled)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _follow(
     start: int,
     stop: int,
@@ -237,7 +237,7 @@ def _follow(
                 strength[first + lane, scale] = state[_S, lane]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _temper(
     start: int,
     stop: int,
@@ -288,7 +288,7 @@ def _temper(
             curves[row, scale] = total
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _exp(x: np.float32) -> np.float32:
     """Return exp(x) to 1e-5 of it for |x| up to 1: Pade's approximant of order (3, 3)."""
     even = np.float32(120) + np.float32(12) * x * x
@@ -296,7 +296,7 @@ def _exp(x: np.float32) -> np.float32:
     return (even + odd) / (even - odd)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _moments(q: Float32, gain: Float32, scale: int, state: Float32) -> None:
     """Sum q / v, q / v^2 and q / v^3 over the frequencies, with v = 1 + s a, in every lane.
 
@@ -324,7 +324,7 @@ def _moments(q: Float32, gain: Float32, scale: int, state: Float32) -> None:
             state[_Q_VVV, lane] += (q_1 * v + q_2 * w) + (q_3 * x + q_4 * y)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _scoring_step(log_sums: Float32, scale: int, least: np.float32, state: Float32) -> None:
     """Move s of every lane that is `moving`, 1, towards the least deviance, in place.
 
@@ -373,7 +373,7 @@ def _scoring_step(log_sums: Float32, scale: int, least: np.float32, state: Float
         state[_MOVING, lane] = one if moves and gained >= _SETTLED else zero
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _first_log_strength(q: Float32, a: Float32) -> np.float32:
     """Return log s of the best s of one scale by (11), from the least-squares one."""
     one = np.float32(1)

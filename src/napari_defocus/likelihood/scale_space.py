@@ -30,10 +30,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.between_windows import between, neighbors, of_four
@@ -270,7 +270,7 @@ def _on_axis(
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _put_on_axis(
     start: int,
     stop: int,
@@ -289,13 +289,17 @@ def _put_on_axis(
     own = np.empty(curve.shape[2], np.float32)
     for i in range(start, stop):
         for j in range(curve.shape[1]):
-            own[:] = curve[i, j]
-            if last > 0:
-                own[:last] = own[:last].max()
-            beyond = own[first:].max()
+            little, beyond = np.float32(-np.inf), np.float32(-np.inf)
+            for k in range(last):
+                little = max(little, curve[i, j, k])
+            for k in range(len(own)):
+                own[k] = little if k < last else curve[i, j, k]
+                if k >= first:
+                    beyond = max(beyond, own[k])
             for k in range(len(low)):
                 found[i, j, k] = own[low[k]] + share[k] * (own[low[k] + 1] - own[low[k]])
-            found[i, j, len(low) :] = beyond
+            for k in range(len(low), found.shape[2]):
+                found[i, j, k] = beyond
 
 
 def _share_below(curve: Float32, scales: Float64, limit: float, *, prior: bool = True) -> Float32:
@@ -309,7 +313,7 @@ def _share_below(curve: Float32, scales: Float64, limit: float, *, prior: bool =
     return np.clip(np.float32(0.5) + rise / _STEEPNESS, 0, 1)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _rise_below(
     start: int, stop: int, curve: Float32, prior: Float32, below: int, rise: Float32
 ) -> None:
@@ -333,7 +337,7 @@ def _said_around(
     return first, second
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _add_level(
     start: int,
     stop: int,

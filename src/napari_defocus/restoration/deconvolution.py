@@ -35,12 +35,12 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, minimum_filter
 from scipy.special import erfinv
 
 from napari_defocus.core.checks import Linearize
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.image import PreparedImage, decode_srgb
 from napari_defocus.core.progress import Progress
 from napari_defocus.core.threads import in_bands
@@ -423,7 +423,7 @@ def _irls_weights(picture: Float32, tv_weight: np.float32, epsilon: np.float32) 
     return irls_weights
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _irls_weight_rows(
     start: int,
     stop: int,
@@ -456,7 +456,7 @@ def _graph_laplacian(irls_weights: Float32, picture: Float32) -> Float32:
     return laplacian
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _graph_laplacian_rows(
     start: int, stop: int, irls_weights: Float32, picture: Float32, laplacian: Float32
 ) -> None:

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 import scipy.fft
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.threads import in_bands
 
 Float32 = NDArray[np.float32]
@@ -52,7 +52,7 @@ def block_shifts(first: Complex, second: Complex, side: int) -> Float64:
     return shifts
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _climb(start: int, stop: int, product: Complex, side: int, shifts: Float64) -> None:
     """Move each shift from the highest pixel to the peak beside it."""
     unit = 2 * math.pi / side
@@ -67,7 +67,7 @@ def _climb(start: int, stop: int, product: Complex, side: int, shifts: Float64) 
             shifts[block, 0], shifts[block, 1] = row, column
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _newton_step(
     product: Complex, side: int, unit: float, row: float, column: float
 ) -> tuple[float, float]:

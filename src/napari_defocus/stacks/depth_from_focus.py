@@ -22,10 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.blur_spectra import spectrum_table
@@ -310,7 +310,7 @@ def _deviances(
     return deviance, dispersion.astype(np.float32)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _deviances_of(
     start: int,
     stop: int,
@@ -336,7 +336,7 @@ def _deviances_of(
             deviance[window, position] = total
 
 
-@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+@compiled_inline
 def _strength(
     power: Float32, heard: Mask, blur: Float32, window: int, position: int, ring: int
 ) -> np.float32:

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled
 from napari_defocus.core.image import nearest_known
 from napari_defocus.core.known_pixels import known_pixels
 from napari_defocus.core.progress import Progress
@@ -77,7 +77,7 @@ def blended(
     return composite
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _add(
     start: int,
     stop: int,

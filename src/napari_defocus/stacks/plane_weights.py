@@ -33,9 +33,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.threads import in_bands
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.stacks.pyramids import bands, noise_of_levels
@@ -205,7 +205,7 @@ class Weights:
         return weight
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled_inline
 def _between(small: Float32, row: int, column: int) -> Any:
     """Return the value at a pixel of what is kept at half the size."""
     top, left = row // 2, column // 2
@@ -216,7 +216,7 @@ def _between(small: Float32, row: int, column: int) -> Any:
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled_inline
 def _along(table: Float32, row: Any, column: int) -> Any:
     """Return what a table has between two rows."""
     top = min(int(row), table.shape[0] - 1)
@@ -225,7 +225,7 @@ def _along(table: Float32, row: Any, column: int) -> Any:
     return table[top, column] + part * (table[bottom, column] - table[top, column])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _prepare(
     start: int,
     stop: int,
@@ -265,7 +265,7 @@ def _prepare(
             most[y, x], least[y, x] = largest, smallest
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _weigh(
     start: int,
     stop: int,

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.threads import in_bands
 
 Float64 = NDArray[np.float64]
@@ -70,7 +70,7 @@ def _with_doubled(picture: Floating, small: Floating, sign: int) -> Floating:
     return found
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled_inline
 def _mirrored(index: int, length: int) -> int:
     """Return an index within a length; beyond the ends, pixels are mirrored at the last one."""
     if index < 0:
@@ -80,7 +80,7 @@ def _mirrored(index: int, length: int) -> int:
     return max(index, 0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _halve(start: int, stop: int, picture: Floating, small: Floating) -> None:
     height, width, channels = picture.shape
     line = np.empty((width, channels), picture.dtype)
@@ -107,7 +107,7 @@ def _halve(start: int, stop: int, picture: Floating, small: Floating) -> None:
                 )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _double(
     start: int, stop: int, picture: Floating, small: Floating, sign: Any, found: Floating
 ) -> None:
