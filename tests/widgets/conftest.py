@@ -80,8 +80,10 @@ def _no_thread_searches_for_garbage():
 
 @pytest.fixture(autouse=True, scope="module")
 def _no_garbage_is_left_to_other_files():
+    """What is left is none, such as modules: later searches, 1 s among all of it, leave it out."""
     yield
     gc.collect()
+    gc.freeze()
 
 
 class PatientQtBot(QtBot):
