@@ -99,7 +99,8 @@ def run_tests(session):
     [top] = folder.iterdir()
     shutil.rmtree(top / "src")
     session.chdir(top)
-    session.run("pytest", "-n", "2", "--dist", "loadgroup", *session.posargs)
+    shared = "-n", "2", "--dist", "loadscope", "--no-loadscope-reorder"
+    session.run("pytest", *shared, *session.posargs)
 
 
 def wheel():

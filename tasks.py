@@ -94,7 +94,8 @@ def test(arguments):
     install("development")
     if sys.platform == "linux":
         install_display_packages()
-    return call(PYTHON, "-m", "pytest", "-n", "2", "--dist", "loadgroup", *arguments)
+    shared = "-n", "2", "--dist", "loadscope", "--no-loadscope-reorder"
+    return call(PYTHON, "-m", "pytest", *shared, *arguments)
 
 
 def lint(_arguments):
