@@ -27,15 +27,15 @@ def opens_windows(file):
 def pytest_collection_modifyitems(config, items):
     """Begin with the tests that open windows, if processes share the tests.
 
-    They are 2/5 of the time, and compile what maps need. Beside them begins what needs no map. The
-    files beside this one are few and long: they come next, so that no process works on one when
-    the other has no more to do.
+    They are 2/5 of the time, and compile what maps need. Beside them begin those that compile for
+    themselves, then the other files here, which are few and long: no process is to work on one
+    when the other has no more to do.
     """
     if config.getoption("dist", "no") != "no" or hasattr(config, "workerinput"):
         items.sort(
             key=lambda item: (
                 not opens_windows(item.path),
-                not item.path.is_relative_to(HERE / "io"),
+                item.path.name != "test_same_bits.py",
                 item.path.parent != HERE,
             )
         )

@@ -124,35 +124,45 @@ def results_with(threads, kernels=None, script=SCENE + RESULTS, **more):
 
 
 @pytest.fixture(scope="module")
-def usual_results():
-    return results_with("1")
+def cache(tmp_path_factory):
+    """Where these tests keep compiled kernels: they need none of other tests, and wait for none."""
+    return {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("numba"))}
+
+
+@pytest.fixture(scope="module")
+def just_compiled(cache):
+    return results_with("2", script=COMPILED_BEFORE + SCENE, **cache)
+
+
+@pytest.fixture(scope="module")
+def usual(just_compiled, cache):
+    """Results of compiled kernels, and which of these have several signatures."""
+    # Too large a radius is reduced on the way.
+    known = "confidence=np.ones(radius.shape), noise_variance=np.float64(1e-5)"
+    restored = f"restore_all_in_focus(seen, 0 * radius + 7.5, {known})"
+    script = SCENE + RESULTS + "print('signatures')\n" + restored + SIGNATURES
+    return results_with("1", script=script, **cache).partition("signatures\n")[::2]
 
 
 @pytest.mark.parametrize(
     ("kernels", "threads"), [("Nehalem", "2"), ("Haswell", "1"), ("SkylakeX", "2")]
 )
-def test_results_do_not_depend_on_linear_algebra_or_threads(usual_results, kernels, threads):
+def test_results_do_not_depend_on_linear_algebra_or_threads(usual, cache, kernels, threads):
     if not can_run(kernels):
         pytest.skip(f"this processor has no {NEEDS[kernels]}")
-    assert results_with(threads, kernels) == usual_results
+    assert results_with(threads, kernels, **cache) == usual[0]
 
 
 def test_kernels_compiled_before_the_first_map_are_all_and_give_what_cached_ones_give(
-    usual_results, tmp_path
+    just_compiled, usual
 ):
-    script = COMPILED_BEFORE + SCENE
-    compiled = results_with("2", script=script, NUMBA_CACHE_DIR=str(tmp_path))
-    assert compiled.startswith("candidates")
-    assert usual_results.startswith(compiled)
+    assert just_compiled.startswith("candidates")
+    assert usual[0].startswith(just_compiled)
 
 
-def test_each_kernel_has_one_signature():
+def test_each_kernel_has_one_signature(usual):
     # So two processes that compile at once put the same files into numba's cache.
-    # Too large a radius is reduced on the way.
-    known = "confidence=np.ones(radius.shape), noise_variance=np.float64(1e-5)"
-    restored = f"restore_all_in_focus(seen, 0 * radius + 7.5, {known})"
-    script = SCENE + RESULTS + restored + SIGNATURES
-    assert results_with("2", script=script).count("(") == 0
+    assert usual[1].count("(") == 0
 
 
 def test_no_kernel_lets_the_compiler_reorder_sums():
