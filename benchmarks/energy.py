@@ -28,11 +28,11 @@ from napari_defocus import BlurCandidates, estimate_candidates
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT, JUMP, REACH
 from napari_defocus.labeling.blurred_edges import less_at_blurred_edges, squared_step_of
+from napari_defocus.labeling.coarse_to_fine import minimize_energy
 from napari_defocus.labeling.graph_cuts import (
     energy_of,
     expand_until_settled,
     improve,
-    minimize_energy,
     solve_exactly,
 )
 from napari_defocus.labeling.pairwise_term import Blocks, pixel_weights

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from napari_defocus import estimate_candidates
 from napari_defocus.labeling import parts
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
+from napari_defocus.labeling.coarse_to_fine import minimize_energy
 from napari_defocus.labeling.data_term import data_term
 from napari_defocus.labeling.fusions import fuse
 from napari_defocus.labeling.graph_cuts import (
@@ -18,7 +19,6 @@ from napari_defocus.labeling.graph_cuts import (
     expand,
     expand_until_settled,
     improve,
-    minimize_energy,
     solve_exactly,
 )
 from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, coarser

@@ -82,16 +82,22 @@ def test_a_sharp_thing_before_a_wide_blur_is_kept(mosaic):
         assert np.abs(blur_map[beside] - 20).mean() < 0.6
 
 
-def test_thin_things_before_a_wide_blur_are_shown(mosaic):
+@pytest.mark.parametrize(
+    ("widths", "radius", "beside"), [((6, 12), 12.0, 1.5), ((10, 20), 20.0, 7)]
+)
+def test_thin_things_before_a_wide_blur_are_shown(mosaic, widths, radius, beside):
     rows, columns = np.indices((340, 340))
-    bars = {6: np.abs(columns - 100 - 0.1 * rows) < 3, 12: np.abs(columns - 220 - 0.1 * rows) < 6}
-    thing = np.any(list(bars.values()), axis=0)
-    ground = blurred(np.roll(mosaic, 200, axis=1), Disc().kernel(12.0))[:340, :340]
+    bars = [
+        np.abs(columns - at - 0.1 * rows) < width / 2
+        for at, width in zip((100, 220), widths, strict=True)
+    ]
+    thing = np.any(bars, axis=0)
+    ground = blurred(np.roll(mosaic, 200, axis=1), Disc().kernel(radius))[:340, :340]
     picture = seen(np.where(thing, mosaic[200:540, 200:540], ground))
     blur_map = label_blur_map(estimate_candidates(picture), picture)
-    for bar in bars.values():
-        assert np.mean(blur_map[bar] < 2) > 0.8
-    assert np.abs(blur_map[~thing] - 12).mean() < 1.5
+    for bar in bars:
+        assert np.mean(blur_map[bar] < 2) > 0.9
+    assert np.abs(blur_map[~thing] - radius).mean() < beside
 
 
 def test_noise_that_is_no_white_noise_is_not_taken_for_details(mosaic):

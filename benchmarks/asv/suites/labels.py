@@ -2,8 +2,8 @@
 
 from napari_defocus import confidence_map, label_blur_map, segment_in_focus
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT, JUMP
+from napari_defocus.labeling.coarse_to_fine import minimize_energy
 from napari_defocus.labeling.continuous_refinement import refine_labels
-from napari_defocus.labeling.graph_cuts import minimize_energy
 from napari_defocus.settings import MapSettings
 
 from .pictures import SIDES, ready

@@ -3,25 +3,24 @@
 Labels are found on the grid of analysed windows, a label for each block of pixels, with the
 data term times the block's area and the weights of all pixel pairs that cross between blocks.
 Blocks beside a jump of the blur are then labelled pixel by pixel, so that the map follows the
-picture's edges, and between labels that belong together the map is interpolated.
+picture's edges, and between labels that belong together the map is interpolated. At the outline of
+what is in focus, by the default mask, a jump to wide blur costs a tenth.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import minimum_filter
 
 from napari_defocus.core.checks import check_weights
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.labeling.blurred_edges import less_at_blurred_edges
+from napari_defocus.labeling.blurred_edges import less_at_blurred_edges, less_at_outline
+from napari_defocus.labeling.coarse_to_fine import minimize_energy, minimize_energy_from
 from napari_defocus.labeling.confidence import checked_map
 from napari_defocus.labeling.continuous_refinement import refine_labels
 from napari_defocus.labeling.data_term import EXTRAPOLATED
-from napari_defocus.labeling.graph_cuts import (
-    expand_until_settled,
-    minimize_energy,
-    minimize_energy_from,
-)
+from napari_defocus.labeling.graph_cuts import expand_until_settled
 from napari_defocus.labeling.multigrid import HALF, coarser
 from napari_defocus.labeling.pixel_refinement import (
     energy_of_pixels,
@@ -29,6 +28,7 @@ from napari_defocus.labeling.pixel_refinement import (
     label_pixels,
 )
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
+from napari_defocus.labeling.segmentation import default_cut
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP, nearest_labels
 from napari_defocus.likelihood.candidates import (
     BlurCandidates,
@@ -47,6 +47,14 @@ REACH = 6
 
 CURVE_WEIGHT = np.float32(24)
 """Weight of the curves as data term, against the penalty (15)."""
+
+_SHARE_AT_OUTLINE = np.float32(0.1)
+"""Share of the weights of differences beyond 5 px that is left at the outline of the default mask
+(docs/decisions.md)."""
+
+_BESIDE, _OF_WIDE = 64, 0.9
+"""px around a place in which there has to be wide blur, or plain things with sharp edges read 7 px
+(docs/decisions.md); and the weight below which windows say that it is wide. By hand."""
 
 _LEAST_SMOOTHNESS = 1e-12
 """The least sum of pairwise weights, so that it can be divided by."""
@@ -110,16 +118,19 @@ def _labels_of_blocks(
     progress: Progress,
 ) -> tuple[NDArray[np.int32], Float32]:
     """Return the labels of the blocks, (R, C), and their weights."""
-    cost, weights = _problem_of_blocks(problem, settings)
+    cost, weights = _problem_of_blocks(problem, settings, within(progress, 0.0, 0.2))
+    report = within(progress, 0.2, 1.0)
     if problem.own.mode == "paper":
-        return expand_until_settled(cost, weights, progress), weights
+        return expand_until_settled(cost, weights, report), weights
     if around is None:
-        return minimize_energy(cost, weights, progress), weights
+        return minimize_energy(cost, weights, report), weights
     around.hold(cost, _HOLD * settings.smoothness)
-    return minimize_energy_from(around.labels, cost, weights, progress), weights
+    return minimize_energy_from(around.labels, cost, weights, report), weights
 
 
-def _problem_of_blocks(problem: LabelingProblem, settings: MapSettings) -> tuple[Float32, Float32]:
+def _problem_of_blocks(
+    problem: LabelingProblem, settings: MapSettings, progress: Progress = silent
+) -> tuple[Float32, Float32]:
     """Return D of (14) for the pixels of each block, and the blocks' weights."""
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, settings.smoothness)
@@ -127,7 +138,20 @@ def _problem_of_blocks(problem: LabelingProblem, settings: MapSettings) -> tuple
     if problem.candidates.mode == "paper":
         return cost, weights
     beyond = less_at_blurred_edges(weights, problem.squared_step, sigma)
+    wide = _beside_wide_blur(problem.own)
+    if wide is not None:
+        in_focus = problem.blocks.count(default_cut(problem, progress) == 1) > 0
+        less_at_outline(beyond, in_focus, in_focus | wide, _SHARE_AT_OUTLINE)
     return cost, np.concatenate([weights, beyond])
+
+
+def _beside_wide_blur(candidates: BlurCandidates) -> NDArray[np.bool_] | None:
+    """Return which windows have wide blur within `_BESIDE` px: (R, C); None if none has."""
+    if candidates.weight is None or candidates.weight.min() >= _OF_WIDE:
+        return None
+    reach = 2 * round(_BESIDE / candidates.stride) + 1
+    near: Float32 = minimum_filter(candidates.weight, reach)
+    return near < _OF_WIDE
 
 
 def coarse_problem(

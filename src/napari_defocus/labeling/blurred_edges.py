@@ -11,6 +11,9 @@ is small at such edges, and the weights between windows are multiplied by it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
@@ -44,13 +47,38 @@ def less_at_blurred_edges(weights: Float32, squared_step: Float32, color_sigma: 
     (4, R, C) float32 ndarray
     """
     share = np.exp(-squared_step * np.float32(0.25 / color_sigma**2))
-    rows, columns = share.shape
     lessened = weights.copy()
+    for between, here, there in _pairs(share):
+        lessened[between] *= here * there
+    return lessened
+
+
+def less_at_outline(
+    weights: Float32, inside: NDArray[np.bool_], counts: NDArray[np.bool_], share: np.float32
+) -> None:
+    """Leave a share of weights between blocks, (4, R, C), along an outline, where it counts.
+
+    Parameters
+    ----------
+    weights : (4, R, C) float32 ndarray
+        Changed.
+    inside, counts : (R, C) bool ndarray
+        What the outline surrounds, and the blocks of which both have to count.
+    share : float32
+    """
+    for (between, here, there), (_, one, other) in zip(_pairs(inside), _pairs(counts), strict=True):
+        weights[between] *= np.where((here != there) & one & other, share, np.float32(1))
+
+
+def _pairs(
+    values: NDArray[Any],
+) -> Iterator[tuple[tuple[int, slice, slice], NDArray[Any], NDArray[Any]]]:
+    """Yield where the weights of each step are, and the values of both blocks of a pair."""
+    rows, columns = values.shape
     for number, (down, right) in enumerate(STEPS):
         left, end = max(0, -right), columns - max(0, right)
-        here = share[: rows - down, left:end]
-        lessened[number, : rows - down, left:end] *= here * share[down:, left + right : end + right]
-    return lessened
+        between = number, slice(0, rows - down), slice(left, end)
+        yield between, values[between[1:]], values[down:, left + right : end + right]
 
 
 def squared_step_of(color: Float32, blocks: Blocks) -> Float32:

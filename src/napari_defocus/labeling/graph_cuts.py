@@ -9,7 +9,8 @@ weights of their own. Two kinds of minimum cuts change many labels at once:
 - Ishikawa's graph, with a node for each threshold between two labels, gives the exact optimum
   over all labels; it is for few nodes, or few labels.
 
-The coarsest grid is solved exactly; fusions go on from there, part by part (`parts`).
+`coarse_to_fine` makes them on coarser and coarser grids first; fusions are made part by part
+(`parts`).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.threads import in_order
 from napari_defocus.labeling.fusions import change_of, fuse, fuse_in_place, weighted
 from napari_defocus.labeling.minimum_cuts import sink_side_of_one
-from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, coarser, finer
+from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE
 from napari_defocus.labeling.parts import Part, groups_of_parts
 
 Float32 = NDArray[np.float32]
@@ -38,12 +39,6 @@ Free = tuple[int, int, int, int]
 Moves = Callable[[Labels, Float32, Float32, Free], None]
 
 _STEP = "Choosing labels"
-
-_COARSEST = 2600
-"""The most nodes of the coarsest grid, which is solved exactly."""
-
-_COARSE_STEP = 4
-"""There, every 4th label is a choice (every 2nd: no better a map, three times the time)."""
 
 _EVERYWHERE = 8
 """On finer grids, every 8th label is offered to all nodes."""
@@ -79,96 +74,6 @@ _FAR = _Sweep(reach=16, grow=6, step=4)
 """Offers of labels that are found farther away."""
 
 
-def minimize_energy(
-    data: Float32,
-    weights: Float32,
-    progress: Progress = silent,
-    *,
-    coarse: bool = False,
-    finest: bool = True,
-) -> Labels:
-    """Find labels of low energy, from coarse to fine.
-
-    Parameters
-    ----------
-    data : (R, C, L) float32 ndarray
-        D, the cost of each label at each node.
-    weights : (4, R, C) or (8, R, C) float32 ndarray
-        w between a node and its neighbour at each of `STEPS`; 0 where there is none. If there are
-        eight, the last four are those of differences beyond the label `WIDE`.
-    progress : callable, optional
-    coarse : bool, optional
-        Stop before the finest grid: two by two nodes have a label in common.
-    finest : bool, optional
-        Whether this grid is the finest one. If not, it is worth more work: see
-        `minimize_energy_from`.
-
-    Returns
-    -------
-    (R, C) int32 ndarray
-    """
-    levels = [(data, weights)]
-    while levels[-1][1][0].size > _COARSEST:
-        levels.append(coarser(*levels[-1]))
-    labels = _coarse_start(*levels[-1])
-    for depth, (level_data, level_weights) in enumerate(reversed(levels), 1):
-        rows, columns = level_data.shape[:2]
-        start = finer(labels, rows, columns) if depth > 1 else labels
-        # Each level has four times the nodes of the one before it.
-        last = depth == len(levels)
-        if last and coarse and depth > 1:
-            return start
-        report = within(progress, 0.25 ** (len(levels) - depth + 1), 0.25 ** (len(levels) - depth))
-        everywhere = not (last and finest)
-        labels = improve(start, level_data, level_weights, everywhere=everywhere, progress=report)
-    progress(_STEP, 1.0)
-    return labels
-
-
-def minimize_energy_from(
-    start: Labels, data: Float32, weights: Float32, progress: Progress = silent
-) -> Labels:
-    """Find labels of low energy from those of a coarser grid.
-
-    If they come from `minimize_energy` of this grid's own costs, joined by `coarser`, the result
-    is that of `minimize_energy` of this grid.
-
-    Parameters
-    ----------
-    start : (r, c) int32 ndarray
-        r is R / 2, R / 4 or so, rounded up.
-    data, weights
-        As for `minimize_energy`.
-    progress : callable, optional
-
-    Returns
-    -------
-    (R, C) int32 ndarray
-    """
-    levels = [(data, weights)]
-    while -(-levels[-1][0].shape[0] // 2) > start.shape[0]:
-        levels.append(coarser(*levels[-1]))
-    labels = start
-    for depth in reversed(range(len(levels))):
-        level_data, level_weights = levels[depth]
-        labels = improve(
-            finer(labels, *level_data.shape[:2]),
-            level_data,
-            level_weights,
-            everywhere=depth > 0,
-            progress=within(progress, 0.25 ** (depth + 1), 0.25**depth),
-        )
-    progress(_STEP, 1.0)
-    return labels
-
-
-def _coarse_start(data: Float32, weights: Float32) -> Labels:
-    """Find the labels of least energy among every fourth: they decide about whole regions."""
-    every = np.ascontiguousarray(data[..., ::_COARSE_STEP])
-    weights = weights * np.float32(_COARSE_STEP)
-    return _COARSE_STEP * solve_exactly(every, weights, WIDE // _COARSE_STEP)
-
-
 def solve_exactly(data: Float32, weights: Float32, wide: int = WIDE) -> Labels:
     """Find the labels of least energy by one cut: for few nodes, or few labels.
 
@@ -178,7 +83,7 @@ def solve_exactly(data: Float32, weights: Float32, wide: int = WIDE) -> Labels:
     rows, columns, count = data.shape
     if count == 2:
         low = np.zeros((rows, columns), np.int32)
-        return _fuse_labels(low, low + np.int32(1), data, weights)
+        return fuse_labels(low, low + np.int32(1), data, weights)
     edges = Edges.of_grid(weights)
     graph = _threshold_graph(data.reshape(-1, count), *edges.arrays, wide)
     return sink_side_of_one(*graph).reshape(rows, columns, count - 1).sum(axis=2, dtype=np.int32)
@@ -385,7 +290,8 @@ def expand(labels: Labels, alpha: int, data: Float32, weights: Float32) -> Label
     return expanded
 
 
-def _fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float32) -> Labels:
+def fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float32) -> Labels:
+    """Return labels whose every node has the better one of two, by one cut: a fusion."""
     place = np.flatnonzero(labels != proposal)
     return fuse(labels, proposal, place, change_of(labels, proposal, place, data), weights)
 

@@ -7,6 +7,9 @@ not be worth it; then pixels pay in full, and the mask shrinks to the picture's 
 
 from __future__ import annotations
 
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -37,6 +40,8 @@ _BLOCK_SHARE = 0.3
 _NEVER = np.float32(1e12)
 """Cost of what must not happen. Energies stay far below, and single precision holds it."""
 
+_default_cuts: WeakKeyDictionary[LabelingProblem, NDArray[np.uint8]] = WeakKeyDictionary()
+
 
 def labeled_mask(
     problem: LabelingProblem,
@@ -53,9 +58,25 @@ def labeled_mask(
     A preview keeps to the blocks of the windows, and takes a fraction of the time. Of a tile of
     a picture, `around` says what the whole picture's blocks want.
     """
-    settings = settled(problem, settings, within)
-    mask = _cut(problem, settings, seeds, preview, around, progress)
+    plain = seeds is None and within is None and around is None and not preview
+    if plain and settings == replace(MaskSettings(), unknown=settings.unknown):
+        mask = default_cut(problem, progress).copy()
+    else:
+        settings = settled(problem, settings, within)
+        mask = _cut(problem, settings, seeds, preview, around, progress)
     return with_unknown_left(mask, problem, settings, seeds=seeds, within=within)
+
+
+def default_cut(problem: LabelingProblem, progress: Progress = silent) -> NDArray[np.uint8]:
+    """Return the mask of the default settings, 1 in focus and 0 blurred everywhere: (H, W).
+
+    It is remembered as long as the problem is, and must not be written to.
+    """
+    mask = _default_cuts.get(problem)
+    if mask is None:
+        mask = _cut(problem, settled(problem, MaskSettings()), None, False, None, progress)
+        _default_cuts[problem] = mask
+    return mask
 
 
 def _cut(

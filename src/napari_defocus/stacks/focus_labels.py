@@ -26,8 +26,9 @@ from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.threads import in_one_thread
 from napari_defocus.labeling.blur_map import CURVE_WEIGHT
+from napari_defocus.labeling.coarse_to_fine import minimize_energy
 from napari_defocus.labeling.continuous_refinement import refine_curves
-from napari_defocus.labeling.graph_cuts import Labels, Mask, Places, minimize_energy
+from napari_defocus.labeling.graph_cuts import Labels, Mask, Places
 from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.labeling.pixel_refinement import ChangeAt, interpolate_labels, label_pixels
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP

@@ -12,9 +12,10 @@ from napari_defocus.core.checks import Mode
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.core.intensity import Intensities, IntensityRange, Limits, found_intensities
 from napari_defocus.labeling.blur_map import coarse_problem, extrapolated, labeled_blur_map
+from napari_defocus.labeling.coarse_to_fine import minimize_energy
 from napari_defocus.labeling.confidence import confidence_and_caution, map_confidence
 from napari_defocus.labeling.focus_threshold import blur_counts, threshold_of_counts
-from napari_defocus.labeling.graph_cuts import minimize_energy, solve_exactly
+from napari_defocus.labeling.graph_cuts import solve_exactly
 from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
 from napari_defocus.labeling.segmentation import coarse_mask_problem, labeled_mask
 from napari_defocus.likelihood.candidates import BlurCandidates
