@@ -23,6 +23,9 @@ Float32 = NDArray[np.float32]
 _TINY = 1e-12
 """The least noise variance that is divided by, for a contrast of 1: that of `SILENCE`."""
 
+_ROUNDS = 3
+"""Times that growth with the light and outwards are found, each without the other."""
+
 
 @dataclass(frozen=True)
 class LocalNoise:
@@ -123,8 +126,11 @@ def noise_of_samples(samples: list[NoiseSample]) -> tuple[float | ShotNoise, flo
     shot = plain_shot_noise(details, intensity)
     if shot is None:
         return noise_variance_with_growth(samples, places.growth), places.growth
-    growth = places.growth_of(places.finest / shot.variance_at(places.intensity))
-    if growth:
+    growth = 0.0
+    for _ in range(_ROUNDS):
+        growth = places.growth_of(places.finest / shot.variance_at(places.intensity))
+        if growth == 0:
+            break
         flat = places.flattened(growth)
         shot = plain_shot_noise(flat.finest, flat.intensity) or shot
     return shot, growth

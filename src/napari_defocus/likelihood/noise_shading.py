@@ -21,7 +21,7 @@ _RINGS, _QUADRANTS = 8, 4
 _FLOOR_QUANTILE = 0.1
 """The quantile of the variances of a sector that counts, as of those of a picture."""
 
-_FEWEST_PLACES = 60
+_FEWEST_PLACES = 100
 """Sectors with fewer say nothing."""
 
 _OUTLIERS, _ROUNDS, _LEAST_SHARE = 2.5, 8, 1e-3
@@ -42,7 +42,7 @@ _LEAST_JPEG = 4_000_000
 """px of a JPEG at least: smaller ones have been scaled down, and what the second compression left
 does not grow."""
 
-_LEAST_GROWTH, _MOST_GROWTH = 0.5, 3.0
+_LEAST_GROWTH, _MOST_GROWTH = 0.6, 3.0
 """Less growth is not told from texture, and more is not believed. All on photographs, parts of
 them, and simulations (docs/decisions.md)."""
 
@@ -171,11 +171,17 @@ class NoisePlaces:
         if sum(seen) < _SEEN_QUADRANTS or near.sum(axis=1).min() < _OF_EACH_RING:
             return 0.0
         near &= seen
+        # The flattest places of a sector are those nearer to the centre: once more, without it.
+        outward, floor = self._sectors(variance, growth)
         growth = _growth(outward[near], floor[near])
         return min(growth, _MOST_GROWTH) if growth >= _LEAST_GROWTH else 0.0
 
-    def _sectors(self, variance: Float) -> tuple[Float64, Float64]:
-        """Return mean rho^2 and floor of each sector, (8, 4); NaN where nothing is known."""
+    def _sectors(self, variance: Float, growth: float = 0.0) -> tuple[Float64, Float64]:
+        """Return mean rho^2 and floor of each sector, (8, 4); NaN where nothing is known.
+
+        `growth` is what is known of it already: floors are those of noise that grows so.
+        """
+        variance = variance / (1 + growth * self.outward)
         outward, floor = np.full((2, _RINGS, _QUADRANTS), np.nan)
         rings = np.array_split(np.argsort(self.outward, kind="stable"), _RINGS)
         for ring, places in enumerate(rings):
@@ -186,7 +192,7 @@ class NoisePlaces:
                 least = float(np.quantile(variance[own], _FLOOR_QUANTILE))
                 if least > 0:
                     outward[ring, quadrant] = self.outward[own].mean()
-                    floor[ring, quadrant] = least
+                    floor[ring, quadrant] = least * (1 + growth * outward[ring, quadrant])
         return outward, floor
 
 
