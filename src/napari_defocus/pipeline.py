@@ -60,6 +60,11 @@ class Measurement:
     intensities: Intensities | None = None
 
     @property
+    def noise_growth(self) -> float:
+        """By how much the noise is larger in the corners than in the centre, if it was found."""
+        return 0.0 if self.candidates is None else self.candidates.noise_growth
+
+    @property
     def psf_choice(self) -> PSFChoice | None:
         """How the family was chosen, if the picture was to choose it."""
         return None if self.candidates is None else self.candidates.psf_choice

@@ -51,6 +51,7 @@ def instant(monkeypatch):
             doubt=None,
             image_shape=image.shape[:2],
             noise_variance=1e-4,
+            noise_growth=1.5,
             psf=options["psf"],
             shot_noise=noise if isinstance(noise, napari_defocus.ShotNoise) else None,
             intensities=Intensities(0.0, 255.0, "number type"),
@@ -320,6 +321,11 @@ def test_shot_noise_is_measured_and_told(picture, instant, monkeypatch):
     assert "variance 1e-05 + 0.0002 x intensity" in result.stdout
     facts = json.loads(run("segment", picture, *common, "--json").stdout)
     assert facts["shot_noise"] == {"read_variance": 1e-5, "gain": 2e-4, "offset": 0.0}
+
+
+def test_noise_that_grows_towards_the_corners_is_told(picture, instant):
+    assert "in the corners 2.5 times that of the centre" in run("map", picture).stdout
+    assert json.loads(run("segment", picture, "--json").stdout)["noise_growth"] == 1.5
 
 
 def test_shot_noise_and_a_given_variance_exclude_each_other(picture, instant):

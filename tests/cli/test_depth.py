@@ -61,6 +61,7 @@ def instant(monkeypatch):
             noise_variance=1e-4,
             psf=options["psf"],
             shot_noise=None,
+            noise_growth=0.0,
             intensities=Intensities(0.0, 255.0, "number type"),
         )
 

@@ -7,6 +7,7 @@ import dask.array as da
 import numpy as np
 import pytest
 from dask.distributed import Client, LocalCluster
+from scipy.ndimage import gaussian_filter
 from skimage.data import camera
 
 from napari_defocus import (
@@ -70,6 +71,20 @@ def in_parts(picture, lazy):
 def test_candidates_of_parts_are_exactly_those_of_the_whole(lazy, candidates):
     np.testing.assert_array_equal(lazy.curve.compute(), candidates.curve)
     np.testing.assert_array_equal(lazy.radii.compute(), candidates.radii)
+
+
+def test_noise_of_parts_grows_towards_the_corners_of_the_whole():
+    rows, columns = (np.linspace(-1, 1, length) * length for length in (350, 410))
+    outward = np.add.outer(rows**2, columns**2) / (350**2 + 410**2)
+    rng = np.random.default_rng(0)
+    smooth = 0.5 + gaussian_filter(rng.normal(size=outward.shape), 6)
+    shaded = smooth + np.sqrt(1e-4 * (1 + 2 * outward)) * rng.normal(size=outward.shape)
+    whole = estimate_candidates(shaded, intensity_range=(0, 1))
+    assert whole.noise_growth == pytest.approx(2, rel=0.2)
+    for block_size in (BLOCK, 1024):
+        plane = da.from_array(shaded, chunks=(100, 130))
+        parts = estimate_candidates(plane, intensity_range=(0, 1), block_size=block_size)
+        np.testing.assert_array_equal(parts.with_noise().curve.compute(), whole.curve)
 
 
 def test_map_of_parts_is_that_of_the_whole_and_has_no_seams(in_parts, whole):

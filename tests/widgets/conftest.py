@@ -185,6 +185,7 @@ class StandIn:
             image_shape=image.shape[:2],
             noise_variance=self.noise_variance,
             shot_noise=None,
+            noise_growth=0.0,
             psf=arguments["psf"],
             intensities=Intensities(0.0, 255.0, "number type"),
         )

@@ -20,8 +20,9 @@ from napari_defocus.core.checks import (
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.estimation import Estimation, Search, check_search
+from napari_defocus.likelihood.local_noise import LocalNoise
 from napari_defocus.likelihood.psf_choice import choose_psf, is_to_choose
-from napari_defocus.likelihood.shot_noise import ShotNoise, noise_of
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf import AUTO
 from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
 from napari_defocus.settings import BLOCK_SIZE, MapSettings
@@ -192,7 +193,7 @@ def estimate_candidates(
     if not is_to_choose(how.psf):
         return how.candidates(picture, noise_variance, progress)
     progress("Choosing the lens", 0.0)
-    noise = noise_of(picture) if noise_variance is None else noise_variance
+    noise = LocalNoise.of(picture, noise_variance)
     choice = choose_psf(
         [picture],
         how.psf,

@@ -56,6 +56,7 @@ def picture_facts(
         "noise_sigma_grey_levels": None if variance is None else levels * variance**0.5,
         "grey_levels": levels,
         **intensity_facts(intensities),
+        "noise_growth": found.noise_growth,
         "shot_noise": asdict(found.shot_noise) if found.shot_noise else None,
         "files": [str(path) for path in outputs],
     }
@@ -150,6 +151,9 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
         variance, sigma = facts["noise_variance"], facts["noise_sigma_grey_levels"]
         levels = f"{facts['grey_levels']:.6g} grey levels"
         yield f"noise        variance {variance:.2g} (sigma {sigma:.3g} of {levels})"
+    if facts.get("noise_growth"):
+        times = 1 + facts["noise_growth"]
+        yield f"             in the corners {times:.1f} times that of the centre"
     if facts["shot_noise"]:
         read, gain, offset = (
             facts["shot_noise"][key] for key in ("read_variance", "gain", "offset")

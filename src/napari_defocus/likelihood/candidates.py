@@ -59,7 +59,8 @@ class BlurCandidates:
         Its domain is what was searched: small pictures cannot tell large radii.
     noise_variance : float
         Of the luminance, for intensities in [0, 1], given or found. If it grows with the
-        intensity, this is the mean over the picture.
+        intensity, this is the mean over the picture; if it grows towards the corners, that of the
+        centre.
     window, stride : int
         N and the distance between windows, in px.
     mode : {"curve", "paper"}
@@ -83,6 +84,9 @@ class BlurCandidates:
     sharp : (H, W) bool ndarray or None
         Pixels that show sharp details themselves, see `sharp_details`. None in the mode "paper" and
         of candidates made by hand.
+    noise_growth : float
+        By how much the noise variance is larger in the corners, as a share of that in the centre;
+        0 if it does not grow outwards. See `estimate_noise_variance`.
     """
 
     radii: Float32
@@ -104,6 +108,7 @@ class BlurCandidates:
     strength: Float32 | None = None
     direction: Float32 | None = None
     sharp: NDArray[np.bool_] | None = None
+    noise_growth: float = 0.0
 
     @property
     def doubt(self) -> str | None:

@@ -27,6 +27,7 @@ from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, 
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window, within_window
 from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
+from napari_defocus.likelihood.local_noise import LocalNoise
 from napari_defocus.likelihood.maxima import CANDIDATES, joined_maxima, largest_point, local_maxima
 from napari_defocus.likelihood.profile_likelihood import (
     profile_log_likelihood,
@@ -40,7 +41,7 @@ from napari_defocus.likelihood.scale_space import (
     strongest,
 )
 from napari_defocus.likelihood.sharp_details import SharpDetails
-from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.likelihood.signs import signs_of
 from napari_defocus.psf.domain import growth_of_details, limited, seen_with_pixels, softness_beside
 from napari_defocus.psf.families import PSFFamily, as_family
@@ -52,9 +53,6 @@ Search = Literal["lattice", "fixed-point"]
 
 _LEAST_OPAQUE = 0.05
 """Share of a window that has to be known, for it to say anything. Chosen by hand."""
-
-_TINY = 1e-12
-"""The least noise variance that is divided by, for a contrast of 1: that of `SILENCE`."""
 
 
 @dataclass(frozen=True)
@@ -132,51 +130,45 @@ class Estimation:
     def candidates(
         self,
         picture: PreparedImage,
-        noise_variance: float | ShotNoise | None,
+        noise: float | ShotNoise | LocalNoise | None,
         progress: Progress = silent,
     ) -> BlurCandidates:
         """Return the candidates of a prepared picture, whose noise is given or found."""
         progress("Measuring the noise", 0.0)
-        if noise_variance is None:
-            noise_variance = noise_of(picture)
-        if isinstance(noise_variance, ShotNoise):
-            mean = mean_shot_noise(picture, noise_variance)
-            return candidates_of(picture, self, mean, noise_variance, progress)
-        return candidates_of(picture, self, float(noise_variance), None, progress)
+        return candidates_of(picture, self, LocalNoise.of(picture, noise), progress)
 
 
 def candidates_of(
     picture: PreparedImage,
     how: Estimation,
-    noise_variance: float,
-    shot_noise: ShotNoise | None = None,
+    noise: LocalNoise,
     progress: Progress = silent,
     within: tuple[slice, slice] | None = None,
 ) -> BlurCandidates:
     """Return the candidates of a prepared picture: those of its levels, joined.
 
-    `noise_variance` is the mean over the whole picture if there is `shot_noise`. Candidates are
-    those of the part of the picture that `within` says; coarse levels see the rest, too.
+    `noise` is that of the picture, which may be a part of a larger one. Candidates are those of the
+    part of the picture that `within` says; coarse levels see the rest, too.
     """
     how = how.for_shape(picture.shape)
     part = picture if within is None else _cut(picture, within)
+    start = (0, 0) if within is None else (within[0].start, within[1].start)
+    of_part = noise.seen_from(*start)
     if how.levels == 1:
-        found = _of_one_level(part, how.of_level(0), noise_variance, shot_noise, progress)
+        found = _of_one_level(part, how.of_level(0), of_part, progress)
         if how.mode == "paper":
             return found
-        return replace(found, sharp=_sharp_details(part, how, noise_variance, shot_noise).inside)
-    levels, details = _levels_of(picture, part, how, noise_variance, shot_noise, progress)
-    start = (0, 0) if within is None else (within[0].start, within[1].start)
+        return replace(found, sharp=_sharp_details(part, how, of_part).inside)
+    levels, details = _levels_of(picture, (part, of_part), how, noise, progress)
     sharp = details.inside if within is None else details.inside[within]
     return replace(_joined_candidates(levels, how, start, details), sharp=sharp)
 
 
 def _levels_of(
     picture: PreparedImage,
-    part: PreparedImage,
+    part: tuple[PreparedImage, LocalNoise],
     how: Estimation,
-    noise_variance: float,
-    shot_noise: ShotNoise | None,
+    noise: LocalNoise,
     progress: Progress,
 ) -> tuple[list[Level], SharpDetails]:
     """Return the levels of a picture, the finest of a part of it, and its own sharp details."""
@@ -187,31 +179,23 @@ def _levels_of(
     hidden = np.zeros(picture.shape, bool)
     for level in range(count):
         report = within_share(progress, *shares[level : level + 2] / shares[-1])
-        share = noise_share(level)
-        noise, shot = share * noise_variance, shot_noise and shot_noise.reduced(share)
-        seen = part if level == 0 else picture
-        found = _of_one_level(seen, how.of_level(level), noise, shot, report)
+        seen, own = part if level == 0 else (picture, noise)
+        reduced = own.reduced(noise_share(level))
+        found = _of_one_level(seen, how.of_level(level), reduced, report)
         levels.append(Level(seen, found, 2**level, hidden))
         if level + 1 < count:
             # Not less than at level 0: a camera's noise is not white.
-            details.append(_sharp_details(picture, how, noise_variance, shot_noise))
+            details.append(_sharp_details(picture, how, noise))
             picture, hidden = halved_without(picture, details[-1].around | hidden)
+            noise = noise.halved()
     return levels, details[0]
 
 
-def _sharp_details(
-    picture: PreparedImage,
-    how: Estimation,
-    noise_variance: float,
-    shot_noise: ShotNoise | None,
-) -> SharpDetails:
+def _sharp_details(picture: PreparedImage, how: Estimation, noise: LocalNoise) -> SharpDetails:
     """Return the sharp details of a level's picture: points have fine details at any blur."""
     if growth_of_details(how.psf):
         return SharpDetails.none(picture.shape)
-    noise: float | Float32 = max(noise_variance, picture.rounding_variance)
-    if shot_noise is not None:
-        noise = shot_noise.variance_at(picture.luminance)
-    return SharpDetails.of(picture, noise / picture.intensities.unit**2)
+    return SharpDetails.of(picture, noise.of_pixels(picture) / picture.intensities.unit**2)
 
 
 def _joined_candidates(
@@ -250,8 +234,7 @@ def _cut(picture: PreparedImage, part: tuple[slice, slice]) -> PreparedImage:
 def _of_one_level(
     picture: PreparedImage,
     how: Estimation,
-    noise_variance: float,
-    shot_noise: ShotNoise | None,
+    noise: LocalNoise,
     progress: Progress,
 ) -> BlurCandidates:
     """Return the candidates of one level: Gabor powers, likelihood curves, their maxima."""
@@ -261,25 +244,21 @@ def _of_one_level(
     plain = mode == "paper"
     table = _table(picture.shape, how)
     opaque = _opaque_share(picture, grid, gradient.pad, window)
-    noisier = None
-    if shot_noise is not None:
-        least = _TINY * picture.intensities.unit**2
-        relative = shot_noise.variance_at(picture.luminance) / max(noise_variance, least)
-        noisier = grid.mean_over_windows(relative, gradient.pad, window)
+    noisier = noise.relative_to_windows(picture, grid, gradient.pad, window)
     scales = label_scales(psf)
     shape = (len(grid.row_of_window), len(grid.column_of_window))
     radii = np.empty((*shape, CANDIDATES), np.float32)
     log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
     curve = np.empty((*shape, len(scales)), np.float32)
     signs = np.empty((*shape, 3), np.float32)
-    least_noise = max(noise_variance, picture.rounding_variance) / picture.intensities.unit**2
+    least_noise = max(noise.variance, picture.rounding_variance) / picture.intensities.unit**2
     for block in grid.blocks():
         progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
         power = local_power(gradient, grid.rows[block], grid.columns, window)
         if opaque is not None:
             power /= np.maximum(opaque[block], _LEAST_OPAQUE)[..., None, None]
         if noisier is not None:
-            power /= np.maximum(noisier[block], _TINY)[..., None, None]
+            power /= noisier[block][..., None, None]
         points = power.reshape(-1, *table.noise.shape)
         if plain:
             block_curve = profile_log_likelihood(points, table, scales, least_noise)
@@ -315,14 +294,15 @@ def _of_one_level(
         window_centers(picture.shape[1], stride),
         picture.shape,
         psf,
-        noise_variance,
+        noise.variance,
         window,
         stride,
         mode,
-        shot_noise,
-        picture.intensities.above_noise(noise_variance),
+        noise.shot_noise,
+        picture.intensities.above_noise(noise.variance),
         strength=signs[..., 0].copy(),
         direction=signs[..., 1:].copy(),
+        noise_growth=noise.growth,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.likelihood.exact_spectra import domain_of_window
+from napari_defocus.likelihood.local_noise import LocalNoise
 from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.likelihood.specimen_choice import specimen_margin
 from napari_defocus.likelihood.window_evidence import LARGEST_LOSS, Windows, family_fit, spacing
@@ -91,7 +92,7 @@ def choose_psf(
     pictures: Sequence[PreparedImage],
     psf: PSFFamily,
     *,
-    noise: float | ShotNoise | None,
+    noise: float | ShotNoise | LocalNoise | None,
     window: int,
     camera_softness: float,
 ) -> PSFChoice:
@@ -103,8 +104,8 @@ def choose_psf(
         Samples that one lens made.
     psf : PSFFamily
         One that `is_to_choose`. Up to 8 px of its domain are looked at, with windows of 41 px.
-    noise : float, ShotNoise or None
-        As `estimate_candidates` takes it.
+    noise : float, ShotNoise, LocalNoise or None
+        As `estimate_candidates` takes it, or of one picture as it was found.
     window : int
         Side N of the analysis window, in px.
     camera_softness : float

@@ -14,15 +14,15 @@ from napari_defocus.likelihood.jpeg_steps import quantization_step
 from napari_defocus.likelihood.noise import (
     FINE,
     FINEST,
-    NoiseSample,
     compression_variance,
     local_variances,
     noise_floor,
-    noise_variance_of_samples,
 )
+from napari_defocus.likelihood.noise_shading import free_line
 from napari_defocus.settings import MapSettings
 
 Float64 = NDArray[np.float64]
+Float = NDArray[np.floating]
 
 _INTENSITY_BINS, _FEWEST_PLACES = 16, 100
 """Ranges of intensity with equally many places, and the fewest places of a range. By hand."""
@@ -152,24 +152,20 @@ def estimate_shot_noise(
     return shot_noise_of(prepare_image(image, intensity_range, linearize))
 
 
-def noise_of(picture: PreparedImage) -> float | ShotNoise:
-    """Find the noise of a prepared picture, see `noise_of_samples`."""
-    return noise_of_samples([NoiseSample.of(picture)])
-
-
-def noise_of_samples(samples: list[NoiseSample]) -> float | ShotNoise:
-    """Find the noise of a picture from pieces of it: a variance, or how it grows with the light.
+def plain_shot_noise(details: Float, intensity: Float) -> ShotNoise | None:
+    """Find how the noise of a picture grows with the light; None if it plainly does not.
 
     It grows if, over ranges of intensity, the variance of the flattest places plainly lies on a
     rising line: that of raw pictures of cameras does, whose noise is that of counted photons. The
     line may meet 0 at an intensity above 0: the offset of the camera.
+
+    Parameters
+    ----------
+    details, intensity : (N,) ndarray
+        Local variances and intensities of places that are spread over the picture.
     """
-    variance = noise_variance_of_samples(samples)
-    if 2 * sum(sample.jpeg_step is not None for sample in samples) >= len(samples):
-        return variance
-    details = np.concatenate([sample.finest for sample in samples])
-    line = _Line.of(details, np.concatenate([sample.intensity for sample in samples]))
-    return variance if line is None or not line.is_plain else line.noise
+    line = _Line.of(details, intensity)
+    return None if line is None or not line.is_plain else line.noise
 
 
 @dataclass(frozen=True)
@@ -184,7 +180,7 @@ class _Line:
     ranges: int
 
     @classmethod
-    def of(cls, details: Float64, intensity: Float64) -> _Line | None:
+    def of(cls, details: Float, intensity: Float) -> _Line | None:
         """Fit a line to ranges of intensity; relative errors count, outliers do not."""
         bins = _ranges_of(intensity)
         if len(bins) < _FEWEST_BINS:
@@ -195,7 +191,7 @@ class _Line:
             return None
         kept = np.ones(len(bins), bool)
         for _ in range(_ROUNDS):
-            constant, slope = _free_line((mean / floor)[kept], (1 / floor)[kept])
+            constant, slope = free_line((mean / floor)[kept], (1 / floor)[kept])
             misfit = np.abs((constant + slope * mean) / floor - 1)
             kept = misfit < _OUTLIERS * (1.4826 * np.median(misfit[kept]) + _LEAST_SHARE)
             if kept.sum() < 2:
@@ -220,25 +216,10 @@ class _Line:
         return ShotNoise(_DARK_SHARE * self.least, self.slope, -self.constant / self.slope)
 
 
-def _ranges_of(intensity: Float64) -> list[NDArray[np.intp]]:
+def _ranges_of(intensity: Float) -> list[NDArray[np.intp]]:
     """Return the places of each range of intensity, equally many in each; none of too few."""
     order = np.array_split(np.argsort(intensity, kind="stable"), _INTENSITY_BINS)
     return [places for places in order if len(places) >= _FEWEST_PLACES]
-
-
-def _free_line(slope: Float64, constant: Float64) -> tuple[float, float]:
-    """Return a and b of the least sum of (a constant + b slope - 1)^2."""
-    cc, cs, ss = (float(np.sum(one)) for one in (constant**2, constant * slope, slope**2))
-    c, s = float(np.sum(constant)), float(np.sum(slope))
-    determinant = cc * ss - cs * cs
-    if determinant <= 0:
-        return c / cc, 0.0
-    return (c * ss - s * cs) / determinant, (s * cc - c * cs) / determinant
-
-
-def mean_shot_noise(picture: PreparedImage, noise: ShotNoise) -> float:
-    """Return the mean variance over a picture of noise that grows with the intensity."""
-    return float(noise.variance_at(picture.luminance).mean())
 
 
 def shot_noise_of(picture: PreparedImage) -> ShotNoise:
@@ -254,9 +235,9 @@ def shot_noise_of(picture: PreparedImage) -> ShotNoise:
     if variance == 0:
         raise ValueError("image has no noise; its growth with the intensity cannot be found")
     details, intensity = (values[::_EVERY] for values in everywhere)
-    line = None if compression else _Line.of(details, intensity)
-    if line is not None and line.is_plain:
-        return line.noise
+    plain = None if compression else plain_shot_noise(details, intensity)
+    if plain is not None:
+        return plain
     bins = _ranges_of(intensity)
     if len(bins) < 2:
         return ShotNoise(variance, 0.0)
@@ -276,7 +257,7 @@ def _line(slope: Float64, constant: Float64) -> tuple[float, float]:
 
     The places are few, and the sums in their order: `scipy.optimize.nnls` calls BLAS.
     """
-    a, b = _free_line(slope, constant)
+    a, b = free_line(slope, constant)
     if a >= 0 and b >= 0:
         return a, b
     # The least is where one of them is 0: the one that explains more stays.

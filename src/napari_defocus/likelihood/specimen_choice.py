@@ -10,7 +10,8 @@ import numpy as np
 from napari_defocus.core.image import PreparedImage
 from napari_defocus.likelihood.averaged_pixels import halved_without, level_count
 from napari_defocus.likelihood.exact_spectra import domain_of_window
-from napari_defocus.likelihood.shot_noise import ShotNoise, noise_of
+from napari_defocus.likelihood.local_noise import LocalNoise
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.likelihood.window_evidence import LARGEST_LOSS, Windows, family_fit, spacing
 from napari_defocus.psf import SPECIMENS
 from napari_defocus.psf.domain import seen_with_pixels
@@ -24,7 +25,7 @@ likely one."""
 def specimen_margin(
     pictures: Sequence[PreparedImage],
     lens: Microscope,
-    noise: float | ShotNoise | None,
+    noise: float | ShotNoise | LocalNoise | None,
     window: int,
     camera_softness: float,
 ) -> tuple[float, int]:
@@ -48,18 +49,18 @@ def specimen_margin(
 def _levels(
     picture: PreparedImage,
     lens: Microscope,
-    noise: float | ShotNoise | None,
+    noise: float | ShotNoise | LocalNoise | None,
     window: int,
     pictures: int,
 ) -> Iterator[tuple[int, Windows]]:
     """Yield the windows of each level that is asked; of the finest one if there is no other."""
     count = level_count(picture.shape, window, lens.max_scale)
-    found = noise_of(picture) if noise is None else noise
+    found = LocalNoise.of(picture, noise)
     for level in range(count):
         if level or count == 1:
             yield level, Windows.of(picture, found, window, spacing(picture, window, pictures))
         picture, _ = halved_without(picture, np.zeros(picture.shape, bool))
-        found = found.reduced(0.25) if isinstance(found, ShotNoise) else 0.25 * found
+        found = found.halved().reduced(0.25)
 
 
 def _gains(

@@ -23,9 +23,10 @@ from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.blur_spectra import SpectrumTable
 from napari_defocus.likelihood.exact_spectra import FilterPower
 from napari_defocus.likelihood.gabor import gradients, local_power
+from napari_defocus.likelihood.local_noise import LocalNoise
 from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.likelihood.profile_likelihood import profile_log_likelihood
-from napari_defocus.likelihood.shot_noise import ShotNoise, mean_shot_noise, noise_of
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.psf.domain import growth_of_details, softness_beside
 from napari_defocus.psf.families import Gaussian, PSFFamily
 
@@ -46,8 +47,8 @@ _STEP = 0.2
 _MOST_WINDOWS, _CLOSEST = 900, 4
 """About how many windows are looked at, and the part of their side that they are apart at least."""
 
-_LEAST_KNOWN, _TINY = 0.5, 1e-12
-"""Share of a window that has to be known, and least relative noise that is divided by. By hand."""
+_LEAST_KNOWN = 0.5
+"""Share of a window that has to be known. By hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +79,12 @@ class Windows:
     def of(
         cls,
         picture: PreparedImage,
-        noise: float | ShotNoise | None,
+        given: float | ShotNoise | LocalNoise | None,
         window: int,
         stride: int,
     ) -> Windows:
         """Return those of a prepared picture, `stride` px apart; the noise is found if None."""
-        if noise is None:
-            noise = noise_of(picture)
-        mean = mean_shot_noise(picture, noise) if isinstance(noise, ShotNoise) else float(noise)
+        noise = LocalNoise.of(picture, given)
         gradient = gradients(picture.evened, picture.opaque, window)
         grid = AnalysisGrid.over(picture.shape, window, stride)
         power = local_power(gradient, grid.rows, grid.columns, window)
@@ -95,13 +94,12 @@ class Windows:
             share = grid.mean_over_windows(picture.opaque, gradient.pad, window)
             power /= np.maximum(share, _LEAST_KNOWN)[..., None, None]
             known &= share >= _LEAST_KNOWN
-        if isinstance(noise, ShotNoise):
-            relative = noise.variance_at(picture.luminance) / max(mean, _TINY * unit**2)
-            noisier = grid.mean_over_windows(relative, gradient.pad, window)
-            power /= np.maximum(noisier, _TINY)[..., None, None]
-        least = max(mean, picture.rounding_variance) / unit**2
+        noisier = noise.relative_to_windows(picture, grid, gradient.pad, window)
+        if noisier is not None:
+            power /= noisier[..., None, None]
+        least = max(noise.variance, picture.rounding_variance) / unit**2
         fractions = float(grid.rows[0] % 1), float(grid.columns[0] % 1)
-        return cls(power[known], least, mean, window, fractions)
+        return cls(power[known], least, noise.variance, window, fractions)
 
 
 def spacing(picture: PreparedImage, window: int, count: int) -> int:

@@ -42,10 +42,12 @@ def noise_of_plane(
     if intensities is None:
         intensities = intensities_of_plane(plane, how.intensity_range)
     read = after(plane, intensities)
-    pieces, every = pieces_of_plane(plane.shape[:2]), _every(plane.shape[:2])
+    whole = plane.shape[:2]
+    pieces, every = pieces_of_plane(whole), _every(whole)
     graph = TileGraph("noise", read, intensities, given, how)
+    seen = how, intensities, every
     samples = [
-        graph.add(number, look_at_noise, pixels(read, piece), how, intensities, every)
+        graph.add(number, look_at_noise, pixels(read, piece), *seen, _starts_at(piece), whole)
         for number, piece in enumerate(pieces)
         if given is None or isinstance(given, ShotNoise)
     ]
@@ -106,6 +108,10 @@ def pieces_of_plane(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
         [slice(start, start + _PIECE) for start in _starts(length)] for length in shape
     )
     return [(row, column) for row in rows for column in columns]
+
+
+def _starts_at(piece: tuple[slice, slice]) -> tuple[int, int]:
+    return piece[0].start, piece[1].start
 
 
 def _every(shape: tuple[int, int]) -> int:

@@ -20,15 +20,10 @@ from napari_defocus.labeling.problem import CoarseLabels, LabelingProblem
 from napari_defocus.labeling.segmentation import coarse_mask_problem, labeled_mask
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.estimation import Estimation, candidates_of
-from napari_defocus.likelihood.noise import (
-    NoiseSample,
-)
-from napari_defocus.likelihood.shot_noise import (
-    ShotNoise,
-    mean_shot_noise,
-    noise_of,
-    noise_of_samples,
-)
+from napari_defocus.likelihood.local_noise import LocalNoise, noise_of_samples
+from napari_defocus.likelihood.noise import NoiseSample
+from napari_defocus.likelihood.noise_shading import NoiseShading
+from napari_defocus.likelihood.shot_noise import ShotNoise
 from napari_defocus.settings import MapSettings, MaskSettings
 from napari_defocus.tiled.tiles import Tile
 
@@ -60,11 +55,15 @@ class Noise:
         Its mean over the plane, if a tile alone does not know it.
     intensities : Intensities or None
         Of the plane, if a tile alone does not know them.
+    growth : float
+        By how much it grows from the centre of the plane, whose variance it is then, to its
+        corners, see `NoiseShading`.
     """
 
     given: float | ShotNoise | None
     variance: float | None = None
     intensities: Intensities | None = None
+    growth: float = 0.0
 
     @property
     def known(self) -> float | None:
@@ -73,17 +72,14 @@ class Noise:
             return self.variance
         return None if self.given is None else float(self.given)
 
-    def of(self, picture: PreparedImage) -> tuple[float, ShotNoise | None]:
-        """Return the variance for the spectra, and how the noise grows."""
+    def of(self, picture: PreparedImage, tile: Tile) -> LocalNoise:
+        """Return the noise of what a tile sees: how large, and how it grows."""
+        if self.known is None:
+            return LocalNoise.of(picture, self.given)
         shot_noise = self.given if isinstance(self.given, ShotNoise) else None
-        if self.known is not None:
-            return self.known, shot_noise
-        if shot_noise is not None:
-            return mean_shot_noise(picture, shot_noise), shot_noise
-        found = noise_of(picture)
-        if isinstance(found, ShotNoise):
-            return mean_shot_noise(picture, found), found
-        return found, None
+        shading = NoiseShading.over((tile.rows.length, tile.columns.length), self.growth)
+        noise = LocalNoise(self.known, shot_noise, shading)
+        return noise.seen_from(*(span.start for span in tile.seen))
 
     @classmethod
     def of_samples(
@@ -93,12 +89,12 @@ class Noise:
         samples: list[NoiseSample],
     ) -> Noise:
         """Find the mean variance of a plane from pieces of it; none are needed if it is given."""
-        noise = noise_of_samples(samples) if given is None else given
+        noise, growth = noise_of_samples(samples) if given is None else (given, 0.0)
         if isinstance(noise, ShotNoise):
             variance = float(np.mean([noise.variance_at(one.intensity).mean() for one in samples]))
         else:
             variance = float(noise)
-        return cls(noise, variance, intensities.above_noise(variance))
+        return cls(noise, variance, intensities.above_noise(variance), growth)
 
 
 def candidates_of_tile(
@@ -106,7 +102,7 @@ def candidates_of_tile(
 ) -> BlurCandidates:
     """Estimate the candidates of a tile, or of a plane, from all pixels that it sees."""
     picture = how.prepared(seen, noise.intensities)
-    return candidates_of(picture, how, *noise.of(picture), within=tile.within)
+    return candidates_of(picture, how, noise.of(picture, tile), within=tile.within)
 
 
 def _problem_of_tile(
@@ -207,18 +203,23 @@ def join_intensities(
 
 
 def look_at_noise(
-    pixels: NDArray[Any], how: Preparing, intensities: Intensities, every: int
+    pixels: NDArray[Any],
+    how: Preparing,
+    intensities: Intensities,
+    every: int,
+    start: tuple[int, int],
+    whole: tuple[int, int],
 ) -> NoiseSample:
-    """Return what a piece of a plane shows of the noise."""
-    return NoiseSample.of(how.prepared(pixels, intensities), every)
+    """Return what a piece of a plane shows of the noise, and where: see `NoiseSample.of`."""
+    return NoiseSample.of(how.prepared(pixels, intensities), every, start, whole)
 
 
 def noise_with_variance(pixels: NDArray[Any], how: Preparing, noise: Noise) -> Noise:
     """Return the noise of a plane that is one tile, with its variance and its intensities."""
     picture = how.prepared(pixels, noise.intensities)
-    variance, shot_noise = noise.of(picture)
-    intensities = picture.intensities.above_noise(variance)
-    return Noise(shot_noise or noise.given, variance, intensities)
+    found = LocalNoise.of(picture, noise.given)
+    intensities = picture.intensities.above_noise(found.variance)
+    return Noise(found.shot_noise or noise.given, found.variance, intensities, found.growth)
 
 
 def coarse_pass(
