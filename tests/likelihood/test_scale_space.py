@@ -83,7 +83,7 @@ def test_a_sharp_thing_before_a_wide_blur_is_kept(mosaic):
 
 
 @pytest.mark.parametrize(
-    ("widths", "radius", "beside"), [((6, 12), 12.0, 1.5), ((10, 20), 20.0, 7)]
+    ("widths", "radius", "beside"), [((6, 12), 12.0, 1.7), ((10, 20), 20.0, 7)]
 )
 def test_thin_things_before_a_wide_blur_are_shown(mosaic, widths, radius, beside):
     rows, columns = np.indices((340, 340))

@@ -4,7 +4,7 @@ Labels are found on the grid of analysed windows, a label for each block of pixe
 data term times the block's area and the weights of all pixel pairs that cross between blocks.
 Blocks beside a jump of the blur are then labelled pixel by pixel, so that the map follows the
 picture's edges, and between labels that belong together the map is interpolated. At the outline of
-what is in focus, by the default mask, a jump to wide blur costs a tenth.
+what is in focus, by the default mask, a jump costs a tenth where wide blur is nearby.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ CURVE_WEIGHT = np.float32(24)
 """Weight of the curves as data term, against the penalty (15)."""
 
 _SHARE_AT_OUTLINE = np.float32(0.1)
-"""Share of the weights of differences beyond 5 px that is left at the outline of the default mask
+"""Share of the weights that is left at the outline of the default mask, beside wide blur
 (docs/decisions.md)."""
 
 _BESIDE, _OF_WIDE = 64, 0.9
@@ -138,11 +138,13 @@ def _problem_of_blocks(
     if problem.candidates.mode == "paper":
         return cost, weights
     beyond = less_at_blurred_edges(weights, problem.squared_step, sigma)
+    weights = np.concatenate([weights, beyond])
     wide = _beside_wide_blur(problem.own)
     if wide is not None:
-        in_focus = problem.blocks.count(default_cut(problem, progress) == 1) > 0
-        less_at_outline(beyond, in_focus, in_focus | wide, _SHARE_AT_OUTLINE)
-    return cost, np.concatenate([weights, beyond])
+        pixels = problem.blocks.count(default_cut(problem, progress) == 1)
+        in_focus = 2 * pixels > problem.blocks.area
+        less_at_outline(weights, in_focus, in_focus | wide, _SHARE_AT_OUTLINE)
+    return cost, weights
 
 
 def _beside_wide_blur(candidates: BlurCandidates) -> NDArray[np.bool_] | None:

@@ -56,18 +56,20 @@ def less_at_blurred_edges(weights: Float32, squared_step: Float32, color_sigma: 
 def less_at_outline(
     weights: Float32, inside: NDArray[np.bool_], counts: NDArray[np.bool_], share: np.float32
 ) -> None:
-    """Leave a share of weights between blocks, (4, R, C), along an outline, where it counts.
+    """Leave a share of weights between blocks along an outline, where it counts.
 
     Parameters
     ----------
-    weights : (4, R, C) float32 ndarray
-        Changed.
+    weights : (4, R, C) or (8, R, C) float32 ndarray
+        See `minimize_energy`; changed.
     inside, counts : (R, C) bool ndarray
         What the outline surrounds, and the blocks of which both have to count.
     share : float32
     """
     for (between, here, there), (_, one, other) in zip(_pairs(inside), _pairs(counts), strict=True):
-        weights[between] *= np.where((here != there) & one & other, share, np.float32(1))
+        left = np.where((here != there) & one & other, share, np.float32(1))
+        for half in range(0, len(weights), len(STEPS)):
+            weights[half:][between] *= left
 
 
 def _pairs(
