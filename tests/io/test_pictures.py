@@ -498,3 +498,10 @@ def test_folder_source_and_twin_are_refused_even_when_forced(tmp_path):
     ]:
         with pytest.raises(UnwritableResult, match=reason):
             check_results(paths, force=True, source=source)
+
+
+def test_channels_are_not_called_planes_of_a_stack(tmp_path):
+    path = tmp_path / "cells.ome.tif"
+    tifffile.imwrite(path, np.zeros((3, 8, 9), np.uint16), metadata={"axes": "CYX"})
+    with pytest.raises(UnreadablePicture, match="a picture of 3 channels; napari-defocus batch"):
+        read_picture(path)
