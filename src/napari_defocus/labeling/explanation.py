@@ -162,7 +162,8 @@ class PixelExplanation:
         nearly = self.scales[self.log_likelihood > -_NEARLY]
         if nearly.size and np.ptp(nearly) > 2 * _tolerance(nearly.mean()):
             yield (
-                f"All answers from {_px(nearly[0])} to {_px(nearly[-1])} px are nearly as likely."
+                f"Seen alone, this place may have any blur from {_px(nearly[0])} to "
+                f"{_px(nearly[-1])} px."
             )
 
     def _on_map(self) -> Iterator[str]:
@@ -171,8 +172,8 @@ class PixelExplanation:
         best = self.best
         if best is not None and not self.extrapolated and abs(self.blur - best) > _tolerance(best):
             yield (
-                f"The likeliest answer here is {_px(best)} px. The map does not follow it, as the "
-                "neighbours say something else."
+                f"Seen alone, its likeliest blur is {_px(best)} px. The map has {_px(self.blur)} "
+                "px, because that fits the places around it better."
             )
         if self.blur > self.scales[-2]:
             yield f"No blur beyond {_px(self.scales[-1])} px was looked for: it may be wider."
