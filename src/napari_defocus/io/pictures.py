@@ -345,6 +345,8 @@ def reading_failure(error: Exception, path: str | os.PathLike[str]) -> str:
         return "it is a folder; napari-defocus batch measures all pictures in it"
     if isinstance(error, UnidentifiedImageError):
         return kind_of(Path(path))
+    if isinstance(error, OSError) and "truncated" in str(error):
+        return "the file is cut off"
     if isinstance(error, MemoryError):
         return "there is not enough memory for it"
     if isinstance(error, _OF_PROGRAMS):

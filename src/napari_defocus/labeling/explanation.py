@@ -320,7 +320,7 @@ def draw_explanation(
         xlim=(0, told.scales[-1]),
         ylim=(floor, -floor / 20),
         xlabel=told.scale_name,
-        ylabel="log p(r) below its maximum",
+        ylabel="how likely: log p(r), 0 at the best",
         title=_title(told),
     )
     if legend:

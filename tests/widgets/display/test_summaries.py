@@ -33,7 +33,7 @@ def test_the_first_lines_say_how_blurred_it_is_and_how_much_is_in_focus(plane):
     mask[:, :30] = 1
     assert said_of(plane, mask) == [
         "Blur: median 5.0 px (5 to 95 %: 1.0 to 9.0 px)",
-        "In focus: 25% (blur up to 2.5 px)",
+        "In focus: 25% of the picture (blur up to 2.5 px)",
         "Trusted on 100% (confidence 0.5 or more)",
         "Noise variance 1.0e-05 (found)",
     ]
@@ -48,6 +48,6 @@ def test_what_lies_outside_of_a_shape_does_not_count(plane):
     said = said_of(part, part.counted(np.ones(SHAPE, np.uint8)))
     assert said[1:4] == [
         "Blur: median 1.0 px (5 to 95 %: 1.0 to 1.0 px)",
-        "In focus: 100% (blur up to 2.5 px)",
+        "In focus: 100% of the part (blur up to 2.5 px)",
         "Trusted on 100% (confidence 0.5 or more)",
     ]

@@ -72,8 +72,10 @@ def _found_lines(results: list[LayerDataTuple], plane: Plane) -> Iterator[str]:
         known = mask != UNKNOWN
         if known.any():
             threshold = keywords["metadata"][METADATA_KEY]["settings"]["threshold"]
-            of = "" if known.all() else " of what is known"
-            yield f"In focus: {(mask[known] == 1).mean():.0%}{of} (blur up to {threshold:g} px)"
+            whole = "the part" if plane.is_part or plane.inside is not None else "the picture"
+            of = whole if known.all() else "what is known"
+            share = f"{(mask[known] == 1).mean():.0%}"
+            yield f"In focus: {share} of {of} (blur up to {threshold:g} px)"
 
 
 def _defocus_line(layer: LayerDataTuple, judged: NDArray[np.bool_]) -> str:
