@@ -33,8 +33,9 @@ def summary_of(
     lines += [made[name] for name in said if name in made]
     if REGION in made:
         lines.append(f"Measured: {made[REGION]['of']}")
-    lines += _found_lines(results, picture.plane)
     share = None if confidence is None else _share_sure(confidence, picture.plane.inside)
+    if share != 0:
+        lines += _found_lines(results, picture.plane)
     if share == 0:
         lines.append("Nothing can be known here: it has no texture that tells of blur.")
     elif share is not None:
