@@ -171,9 +171,10 @@ class PixelExplanation:
             return
         best = self.best
         if best is not None and not self.extrapolated and abs(self.blur - best) > _tolerance(best):
+            alone = f"Seen alone, its likeliest blur is {_px(best)} px. "
             yield (
-                f"Seen alone, its likeliest blur is {_px(best)} px. The map has {_px(self.blur)} "
-                "px, because that fits the places around it better."
+                f"{alone if self.own_window is None else ''}The map has {_px(self.blur)} px, "
+                "because that fits the places around it better."
             )
         if self.blur > self.scales[-2]:
             yield f"No blur beyond {_px(self.scales[-1])} px was looked for: it may be wider."

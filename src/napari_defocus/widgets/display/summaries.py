@@ -48,6 +48,11 @@ def _result(layer: LayerDataTuple) -> Any:
     return layer[1]["metadata"][METADATA_KEY]["result"]
 
 
+def _is_of(layer: LayerDataTuple, plane: Plane) -> bool:
+    """Return whether a layer has the pixels of a plane, and not of a stack."""
+    return bool(np.size(layer[0]) == np.prod(plane.shape))
+
+
 def _share_sure(confidence: NDArray[np.floating], inside: NDArray[np.bool_] | None) -> float:
     """Return the share of the pixels that count, as far as the confidence is of them alone."""
     sure = confidence >= CONFIDENT
@@ -57,18 +62,19 @@ def _share_sure(confidence: NDArray[np.floating], inside: NDArray[np.bool_] | No
 def _found_lines(results: list[LayerDataTuple], plane: Plane) -> Iterator[str]:
     """Say how wide the blur is where it counts, and how much is in focus."""
     layer_of = {_result(layer): layer for layer in results}
-    if BLUR_MAP not in layer_of:
+    of_plane = {name: layer for name, layer in layer_of.items() if _is_of(layer, plane)}
+    if BLUR_MAP not in of_plane:
         return
-    blur = layer_of[BLUR_MAP][0].reshape(plane.shape)
+    blur = of_plane[BLUR_MAP][0].reshape(plane.shape)
     judged = np.isfinite(blur) if plane.inside is None else np.isfinite(blur) & plane.inside
     if not judged.any():
         return
     low, median, high = np.percentile(blur[judged], [5, 50, 95])
     yield f"Blur: median {median:.1f} px (5 to 95 %: {low:.1f} to {high:.1f} px)"
-    if DEFOCUS in layer_of:
-        yield _defocus_line(layer_of[DEFOCUS], judged)
-    if IN_FOCUS in layer_of:
-        values, keywords, _ = layer_of[IN_FOCUS]
+    if DEFOCUS in of_plane:
+        yield _defocus_line(of_plane[DEFOCUS], judged)
+    if IN_FOCUS in of_plane:
+        values, keywords, _ = of_plane[IN_FOCUS]
         mask = values.reshape(plane.shape)[judged]
         known = mask != UNKNOWN
         if known.any():
