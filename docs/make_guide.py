@@ -143,6 +143,9 @@ class Session:
     def measure(self) -> None:
         """Press Measure, wait, and make the outline wide enough for a small canvas."""
         self.press(self.panel.run_button)
+        # Whoever moves a slider before the fine results are there gets the map with the mask.
+        layers = self.viewer.layers
+        self.until(lambda: any(layer.name.endswith("not trusted") for layer in layers))
         self.rest()
         for layer in self.viewer.layers:
             if layer.name.endswith("in focus"):

@@ -75,6 +75,7 @@ PUBLIC = {
     "measure_regions",
     "psf_from_text",
     "read_microscope",
+    "picture_remarks",
     "read_picture",
     "restore_all_in_focus",
     "segment_in_focus",

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from napari_defocus import (
     label_blur_map,
     measure_batch,
 )
+from napari_defocus.batch.picture_signs import signs_of_picture
+from napari_defocus.cli.microscope import remarks_on_pixels
 from napari_defocus.settings import MapSettings
 from napari_defocus.widgets.display.add_results import add_results
 from napari_defocus.widgets.display.cursor_text import text_under_cursor
@@ -147,3 +150,45 @@ def test_another_pixel_size_than_the_file_notes_is_told(micrograph):
     output = ["-o", micrograph.with_name("m.tif")]
     told = run("map", micrograph, *TYPED, "--pixel-size", 0.325, *output)
     assert "careful      The picture notes pixels of 0.1625 um" in told.output
+
+
+WIDE = Microscope(0.8, 0.52, 6.5)
+"""The pixels are those of a camera, not of the specimen."""
+
+
+def damaged(path):
+    about = {"axes": "YX", "PhysicalSizeX": "wide", "PhysicalSizeY": "high"}
+    tifffile.imwrite(path, np.zeros((8, 8)), metadata=about)
+    return path
+
+
+def not_square(path):
+    about = {"axes": "YX", "PhysicalSizeX": 0.1, "PhysicalSizeY": 0.3}
+    tifffile.imwrite(path, np.zeros((8, 8)), metadata=about)
+    return path
+
+
+def nothing(path):
+    tifffile.imwrite(path, np.zeros((8, 8)))
+    return path
+
+
+@pytest.mark.parametrize("noting", [damaged, not_square, nothing])
+def test_terminal_tells_wide_pixels_whatever_the_file_notes_of_them(tmp_path, noting):
+    path = noting(tmp_path / "cells.ome.tif")
+    [told] = remarks_on_pixels(path, SimpleNamespace(psf=WIDE))
+    assert "A pixel of 6.5 um is 16 times as wide as the Airy disc" in told
+    assert remarks_on_pixels(path, SimpleNamespace(psf=LENS)) == []
+
+
+def test_batch_tells_wide_pixels_and_other_pixels_than_the_file_notes():
+    picture = np.random.default_rng(0).integers(0, 255, (120, 120), dtype=np.uint8)
+    candidates = SimpleNamespace(window=41, strength=None, direction=None)
+
+    def careful(lens, noted):
+        found = SimpleNamespace(candidates=candidates, doubt=None, psf=lens)
+        return signs_of_picture(picture, found, None, {"pixel_width_um": noted})["careful"]
+
+    assert careful(LENS, None) is None
+    assert "16 times as wide as the Airy disc" in careful(WIDE, None)
+    assert "The picture notes pixels of 0.1 um" in careful(LENS, 0.1)

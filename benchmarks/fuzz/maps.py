@@ -102,6 +102,17 @@ def _noise(rnd: Random) -> Call:
     return Call(nd.estimate_noise_variance, arguments, check, _of_its_own_range(arguments))
 
 
+@recipe("picture_remarks")
+def _remarks(rnd: Random) -> Call:
+    arguments = {"image": odd.picture(rnd)} | some(rnd, window=[17, 41])
+
+    def check(result: Any, given: dict[str, Any]) -> None:
+        assert isinstance(result, list)
+        assert all(isinstance(remark, str) for remark in result)
+
+    return Call(nd.picture_remarks, arguments, check)
+
+
 @recipe("estimate_shot_noise")
 def _shot_noise(rnd: Random) -> Call:
     def check(result: Any, given: dict[str, Any]) -> None:

@@ -25,6 +25,9 @@ from .api.masks import (
 from .api.masks import (
     segment_in_focus as segment_in_focus,
 )
+from .api.remarks import (
+    picture_remarks as picture_remarks,
+)
 from .api.restoration import (
     restore_all_in_focus as restore_all_in_focus,
 )

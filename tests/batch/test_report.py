@@ -148,6 +148,7 @@ def test_other_limits_need_no_measurement(measured, tmp_path, monkeypatch):
     none_in_focus = outline.read_bytes()
     report = write_report(measured, limits=FieldLimits(in_focus_up_to=5.0))
     assert (report.planes, report.flagged, report.failed) == (4, 2, 1)
+    assert report.flags == {"failed": 1, "empty": 1}
     row = rows_in(measured)["A02_s1.png"]
     assert (row["flags"], row["share_within_limit"]) == (None, pytest.approx(1.0, abs=0.02))
     assert b"blurred by at most\n5 px" in (measured / "report.html").read_bytes().replace(
@@ -163,7 +164,7 @@ def test_terminal_writes_the_report_anew_and_names_limits_as_they_are_typed(meas
     result = run("report", measured, "--in-focus-up-to", 5, "--min-share-known", 0)
     assert result.exit_code == 0, result.output
     # Noise is still told.
-    assert result.stdout.startswith("flagged      2 of 4\n")
+    assert result.stdout.startswith("flagged      2 of 4: 1 failed, 1 empty\n")
     result = run("report", measured, "--min-share-known", 2)
     assert (result.exit_code, result.stdout) == (2, "")
     assert "--min-share-known is 2" in result.stderr

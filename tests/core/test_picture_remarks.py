@@ -1,9 +1,11 @@
 """A picture that can tell little of its blur is not measured without a word."""
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import napari_defocus
 from napari_defocus import read_picture
@@ -66,3 +68,31 @@ def test_what_is_not_known_does_not_count(noise):
     assert picture_remarks(picture, 41) == []
     [remark] = picture_remarks(np.full((120, 140), np.nan), 41)
     assert remark == "No pixel is known: all are transparent, NaN or masked."
+
+
+def part_of_sample():
+    with Image.open(SAMPLES / "dandelion.jpg") as whole:
+        return whole.crop((200, 100, 400, 300))
+
+
+@pytest.mark.parametrize("colors", [32, 256])
+def test_a_palette_of_colours_is_told(colors):
+    with_palette = part_of_sample().quantize(colors).convert("RGB")
+    [remark] = picture_remarks(np.asarray(with_palette), 41)
+    assert f"only {colors} different colours" in remark
+    assert "radii are often too small" in remark
+
+
+def test_a_toned_picture_has_no_palette():
+    grey = np.asarray(part_of_sample().convert("L")).astype(float)
+    sepia = np.stack([grey, 0.8 * grey, 0.5 * grey], axis=2).astype(np.uint8)
+    assert picture_remarks(sepia, 41) == []
+
+
+@pytest.mark.parametrize(("quality", "told"), [(20, True), (75, False)])
+def test_strong_compression_is_told(quality, told):
+    file = BytesIO()
+    part_of_sample().save(file, "JPEG", quality=quality)
+    with Image.open(file) as compressed:
+        remarks = picture_remarks(np.asarray(compressed), 41)
+    assert ["compressed strongly" in remark for remark in remarks] == [True] * told

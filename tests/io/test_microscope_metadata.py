@@ -7,6 +7,7 @@ from microscope_files import write_ome_zarr
 
 from napari_defocus import read_microscope
 from napari_defocus.io.microscope_metadata import noted_microscope
+from napari_defocus.io.open import open_stack
 
 OME = """<?xml version="1.0" encoding="UTF-8"?>
 <OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">
@@ -83,3 +84,13 @@ def test_pixel_size_of_imagej_and_of_ome_zarr_is_read(tmp_path):
     (store / "OME").mkdir()
     (store / "OME" / "METADATA.ome.xml").write_text(OME.format(height=108, settings=""), "utf-8")
     assert noted_microscope(store)["numerical_aperture"] == 1.3
+
+
+@pytest.mark.parametrize("size", ["wide", "nan", "inf", "-0.1", ""])
+def test_pixel_size_that_is_no_number_is_not_noted(tmp_path, size):
+    path = tmp_path / "cells.ome.tif"
+    about = {"axes": "YX", "PhysicalSizeX": size, "PhysicalSizeY": "0.1"}
+    tifffile.imwrite(path, np.zeros((4, 5), np.uint16), metadata=about)
+    noted = noted_microscope(path)["pixel_size_um"]
+    assert noted == 0.1, "the other side is readable"
+    assert open_stack(path).pixel_size == {"y": 0.1}

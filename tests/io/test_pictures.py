@@ -498,3 +498,17 @@ def test_folder_source_and_twin_are_refused_even_when_forced(tmp_path):
     ]:
         with pytest.raises(UnwritableResult, match=reason):
             check_results(paths, force=True, source=source)
+
+
+def test_channels_are_not_called_planes_of_a_stack(tmp_path):
+    path = tmp_path / "cells.ome.tif"
+    tifffile.imwrite(path, np.zeros((3, 8, 9), np.uint16), metadata={"axes": "CYX"})
+    with pytest.raises(UnreadablePicture, match="a picture of 3 channels; napari-defocus batch"):
+        read_picture(path)
+
+
+def test_photograph_that_is_cut_off_says_so(tmp_path):
+    whole, path = io.BytesIO(), tmp_path / "photo.jpg"
+    Image.effect_noise((80, 60), 50).save(whole, "JPEG")
+    path.write_bytes(whole.getvalue()[:-400])
+    assert refusal_of(path).endswith("the file is cut off")

@@ -136,15 +136,15 @@ def test_place_without_texture_is_said_to_be_carried_in():
     assert told.extrapolated
     assert "too little texture" in str(told)
     assert "from the surroundings" in str(told)
-    assert "does not follow" not in str(told)
+    assert "Seen alone, its likeliest" not in str(told)
     assert "surroundings" not in str(explain_pixel(candidates, 40, 40))
 
 
 def test_map_that_follows_its_neighbours_is_told(candidates):
     told = explain_pixel(candidates, 61, 58, blur_map=np.full((120, 120), 1.5))
-    assert "The map does not follow it" in str(told)
+    assert "because that fits the places around it better" in str(told)
     agrees = explain_pixel(candidates, 61, 58, blur_map=np.full((120, 120), told.best + 0.4))
-    assert "does not follow" not in str(agrees)
+    assert "Seen alone, its likeliest" not in str(agrees)
 
 
 @pytest.mark.parametrize(("below", "nearly"), [(0.5, True), (3.0, False)])
@@ -157,7 +157,7 @@ def test_second_candidate_is_told_if_it_is_nearly_as_likely(candidates, below, n
 def test_broad_curve_is_told(candidates):
     told = explain_pixel(candidates, 61, 58)
     broad = replace(told, log_likelihood=np.where(np.abs(told.scales - 4) <= 2.01, -0.5, -9.0))
-    assert "All answers from 2.0 to 6.0 px are nearly as likely" in str(broad)
+    assert "this place may have any blur from 2.0 to 6.0 px" in str(broad)
 
 
 def test_largest_radius_that_was_looked_for_may_be_more(candidates):

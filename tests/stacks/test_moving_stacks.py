@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, shift
 from skimage import data
 
 from benchmarks.moving_stacks import taken
@@ -189,3 +190,43 @@ def test_alignment_takes_lists_and_names_what_is_no_number():
     assert made.is_still
     with pytest.raises(TypeError, match="shift has dtype"):
         StackAlignment(shape=(5, 5), reference=0, shift=[["a", "b"]], **numbers)
+
+
+def cells_on_dark_ground(drift, planes=9):
+    """Take three small cells with a camera of much noise, and a stage that drifts by px a plane."""
+    rng = np.random.default_rng(0)
+    scene = np.zeros((160, 160))
+    round_ = gaussian_filter((np.hypot(*np.mgrid[-12:12, -12:12]) < 10).astype(float), 2)
+    for row, column in ((40, 60), (55, 75), (100, 90)):
+        around = np.s_[row - 12 : row + 12, column - 12 : column + 12]
+        scene[around] += 3000 * rng.random((24, 24)) ** 3 * round_
+    taken_planes = []
+    for away in np.arange(planes) - planes // 2:
+        blurred = gaussian_filter(scene, 0.7 + 0.6 * abs(away))
+        moved = shift(blurred, (drift * away, -drift * away), mode="nearest")
+        taken_planes.append(100 + moved + rng.normal(0, 8, moved.shape))
+    return np.stack(taken_planes)
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.5])
+def test_a_few_cells_on_dark_ground_tell_the_drift_but_no_turn(drift):
+    found = sharpest_plane(cells_on_dark_ground(drift), px_per_plane=1.0, stride=8)
+    if drift == 0:
+        assert found.alignment is None
+        assert found.notes[0].startswith("No plane moves")
+        return
+    true = drift * np.arange(-4, 5)
+    np.testing.assert_allclose(found.alignment.shift.T, [true, -true], atol=0.5)
+    np.testing.assert_array_equal(found.alignment.magnification, 1)
+    np.testing.assert_array_equal(found.alignment.turn, 0)
+
+
+def test_one_plane_that_alone_shows_detail_is_told():
+    rng = np.random.default_rng(1)
+    sharp = gaussian_filter(rng.random((64, 64)), 0.7)
+    planes = np.stack([gaussian_filter(sharp, 9)] * 7)
+    planes[3] = sharp
+    planes += rng.normal(0, 0.002, planes.shape)
+    settings = {"stride": 8, "align": False, "match_brightness": False}
+    assert "Only single planes show detail" in sharpest_plane(planes, **settings).notes[0]
+    assert sharpest_plane(planes, px_per_plane=3.0, **settings).notes == ()

@@ -7,6 +7,7 @@ import pytest
 from napari.components import ViewerModel
 from npe2 import PluginManifest
 from npe2.manifest.utils import import_python_name
+from PIL import Image
 
 import napari_defocus
 from napari_defocus.widgets.layers.samples import ramp
@@ -114,3 +115,15 @@ def test_what_the_manifest_names_is_loaded_when_it_is_used():
     code = f"import sys, {', '.join(modules)}; print(*(m for m in {heavy} if m in sys.modules))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == []
+
+
+@pytest.mark.parametrize("name", ["phone.heic", "IMG_0001.HEIC"])
+def test_photograph_of_a_phone_opens_and_a_damaged_one_says_so(viewer, tmp_path, name):
+    heif = pytest.importorskip("pillow_heif")
+    path = tmp_path / name
+    heif.from_pillow(Image.effect_noise((80, 60), 50).convert("RGB")).save(path)
+    [layer] = viewer.open(path, plugin="napari-defocus")
+    assert (layer.name, layer.data.shape, layer.rgb) == (path.stem, (60, 80, 3), True)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(ValueError, match="a HEIC picture, which could not be decoded"):
+        viewer.open(path, plugin="napari-defocus")

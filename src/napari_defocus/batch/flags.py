@@ -121,10 +121,16 @@ def judged_rows(rows: Iterable[Row], limits: FieldLimits) -> list[Row]:
     ]
 
 
+def flag_names(row: Row) -> list[str]:
+    """Return the flags of a judged row."""
+    flags: str = row.get("flags") or ""
+    return flags.split("; ") if flags else []
+
+
 def badness(row: Row) -> tuple[int, float]:
     """Return a key that sorts judged rows worst first: by their flags, then by their blur."""
-    names = (row.get("flags") or "").split("; ")
-    rank = WORST_FIRST.index(names[0]) if names[0] else len(WORST_FIRST)
+    names = flag_names(row)
+    rank = WORST_FIRST.index(names[0]) if names else len(WORST_FIRST)
     return rank, -(row.get("median_known_radius_px") or 0.0)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from napari_defocus.batch.flags import WORST_FIRST, flag_names
 from napari_defocus.batch.table import FAILED, Row
 
 
@@ -28,6 +30,8 @@ class BatchReport:
         How many rows have a flag, such as "out of focus".
     report : Path or None
         The page that shows the table, `report.html`, if it was asked for.
+    flags : dict of str to int
+        How many rows have each flag, the worst first.
 
     Examples
     --------
@@ -42,6 +46,7 @@ class BatchReport:
     doubtful: int = 0
     flagged: int = 0
     report: Path | None = None
+    flags: dict[str, int] = field(default_factory=dict, hash=False)
 
     @classmethod
     def of_rows(
@@ -53,6 +58,7 @@ class BatchReport:
         report: Path | None = None,
     ) -> BatchReport:
         """Count what rows, judged by limits, say."""
+        counts = Counter(name for row in rows for name in flag_names(row))
         return cls(
             table=table,
             planes=len(rows),
@@ -61,4 +67,5 @@ class BatchReport:
             doubtful=sum(bool(row.get("careful")) for row in rows),
             flagged=sum(bool(row["flags"]) for row in rows),
             report=report,
+            flags={name: counts[name] for name in WORST_FIRST if counts[name]},
         )

@@ -18,6 +18,7 @@ from napari_defocus.cli.option_groups import (
     RestorationOptions,
     said_threshold,
 )
+from napari_defocus.cli.report import flagged_line
 from napari_defocus.core.checks import Unknown
 from napari_defocus.core.progress import Progress
 from napari_defocus.settings import BLOCK_SIZE, MaskSettings
@@ -35,7 +36,7 @@ def _lines(facts: Facts) -> Iterator[str]:
     if facts["doubtful"]:
         yield f"careful      {facts['doubtful']} may tell little of their blur; the table says why"
     if facts["flagged"]:
-        yield f"flagged      {facts['flagged']}: the report and the table say why"
+        yield flagged_line(facts)
     yield f"time         {facts['seconds']:.1f} s"
     yield f"wrote        {facts['table']}"
     if facts["report"]:
@@ -165,6 +166,7 @@ def batch(
         "left_out": done.left_out,
         "doubtful": done.doubtful,
         "flagged": done.flagged,
+        "flags": done.flags,
     }
 
 

@@ -13,8 +13,14 @@ from napari_defocus.cli.option_groups import LimitOptions
 from napari_defocus.core.progress import Progress
 
 
+def flagged_line(facts: Facts) -> str:
+    """Say how many rows of a table have a flag, and how many each."""
+    flags = ", ".join(f"{count} {name}" for name, count in facts["flags"].items())
+    return f"flagged      {facts['flagged']} of {facts['planes']}{': ' * bool(flags)}{flags}"
+
+
 def _lines(facts: Facts) -> Iterator[str]:
-    yield f"flagged      {facts['flagged']} of {facts['planes']}"
+    yield flagged_line(facts)
     yield f"time         {facts['seconds']:.1f} s"
     yield f"wrote        {facts['report']}"
 
@@ -34,5 +40,6 @@ def report(folder: Path, *, flagging: LimitOptions, progress: Progress) -> dict[
         "report": str(written.report),
         "planes": written.planes,
         "flagged": written.flagged,
+        "flags": written.flags,
         "limits": asdict(limits),
     }

@@ -55,16 +55,16 @@ _LEAST_PERCENT = 0.5
 
 
 def _weight_line(facts: Facts) -> str:
-    line = f"tv weight    {facts['tv_weight']:.2g}"
+    line = f"smoothing    {facts['tv_weight']:.2g} (--tv-weight)"
     if facts["misfit"] > 0:
-        line += f"; lens or map may not fit (variance {facts['misfit']:.1g}): less blur taken away"
+        line += ", more than for noise alone: the lens or the map may not fit"
     return line
 
 
 def _unrestored_lines(facts: Facts) -> Iterator[str]:
     percent = 100 * facts["unrestored"]
     if percent >= _LEAST_PERCENT:
-        yield f"left         {percent:.0f} % of the picture as it was: there would be rings"
+        yield f"not restored {percent:.0f} % of the picture: it would get rings there"
 
 
 def _restored_lines(facts: Facts) -> Iterator[str]:

@@ -109,7 +109,7 @@ def prepare_image(
         `intensity_range` is not two increasing finite numbers, or `linearize` is unknown.
     """
     check_linearize(linearize)
-    array, known = _checked_array(image)
+    array, known = checked_array(image)
     intensities = _intensities(array, known, intensity_range)
     if array.ndim == 3 and array.shape[2] == 4:
         array = array[..., :3]
@@ -277,7 +277,7 @@ def nearest_known(values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any
     return filled
 
 
-def _checked_array(image: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+def checked_array(image: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
     """Return a picture's values, and which of its pixels are known; None if all are."""
     given = given_image("image", image)
     if given.dtype.kind not in "buif":

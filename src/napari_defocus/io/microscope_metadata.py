@@ -104,8 +104,10 @@ def read_microscope(
     }
     noted = dict.fromkeys(given) if None not in given.values() else noted_microscope(path, channel)
     known = {name: noted[name] if value is None else value for name, value in given.items()}
-    if channel is None and known["wavelength_um"] is None:
-        _check_one_wavelength(path)
+    if channel is None and known["wavelength_um"] is None and has_several_wavelengths(path):
+        raise IncompleteMicroscope(
+            f"the channels of {path} have different wavelengths of emission; give the wavelength"
+        )
     missing = [_WHAT[name] for name, value in known.items() if value is None]
     if missing:
         *first, last = missing
@@ -116,11 +118,10 @@ def read_microscope(
     return Microscope(**known, specimen=specimen)  # type: ignore[arg-type]  # none is None
 
 
-def _check_one_wavelength(path: str | os.PathLike[str]) -> None:
-    if noted_microscope(path, 0)["wavelength_um"] is not None:
-        raise IncompleteMicroscope(
-            f"the channels of {path} have different wavelengths of emission; give the wavelength"
-        )
+def has_several_wavelengths(path: str | os.PathLike[str]) -> bool:
+    """Return whether the channels of a file have different wavelengths, so that none is taken."""
+    alike, first = (noted_microscope(path, channel)["wavelength_um"] for channel in (None, 0))
+    return alike is None and first is not None
 
 
 def noted_microscope(path: str | os.PathLike[str], channel: int | None = None) -> Noted:

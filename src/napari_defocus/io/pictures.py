@@ -213,8 +213,7 @@ def _decode(path: Path) -> tuple[NDArray[Any], int]:
 def _decode_microscope_file(path: Path) -> NDArray[Any]:
     found = open_microscope_file(path)
     if found.axes not in ("yx", "yxs"):
-        shape = " x ".join(map(str, found.data.shape))
-        raise ValueError(f"it is a stack of {shape} (axes {found.axes.upper()}); {_FOR_STACKS}")
+        raise ValueError(f"it is {_told_stack(found.data.shape, found.axes.upper())}")
     return _at_once(found.data)
 
 
@@ -242,15 +241,19 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], int]:
 def _single_plane(tiff: Any) -> Any:
     series = tiff.series[picture_number(tiff)]
     if series.axes not in ("YX", "YXS", "SYX"):
-        raise ValueError(f"it is {_told_stack(series)}; {_FOR_STACKS}")
+        raise ValueError(f"it is {_told_stack(series.shape, series.axes)}")
     _refuse_bomb(series.keyframe.imagelength * series.keyframe.imagewidth)
     return series
 
 
-def _told_stack(series: Any) -> str:
-    if not series.shape:
+def _told_stack(shape: tuple[int, ...], axes: str) -> str:
+    if not shape:
         return "a TIFF without a picture"
-    return f"a stack of {' x '.join(map(str, series.shape))} (axes {series.axes})"
+    planes = {axis for axis, length in zip(axes, shape, strict=True) if length > 1} - {*"YXS"}
+    if planes == {"C"}:
+        count = shape[axes.index("C")]
+        return f"a picture of {count} channels; napari-defocus batch measures each of them"
+    return f"a stack of {' x '.join(map(str, shape))} (axes {axes}); {_FOR_STACKS}"
 
 
 def _refuse_bomb(pixels: int) -> None:
@@ -342,6 +345,8 @@ def reading_failure(error: Exception, path: str | os.PathLike[str]) -> str:
         return "it is a folder; napari-defocus batch measures all pictures in it"
     if isinstance(error, UnidentifiedImageError):
         return kind_of(Path(path))
+    if isinstance(error, OSError) and "truncated" in str(error):
+        return "the file is cut off"
     if isinstance(error, MemoryError):
         return "there is not enough memory for it"
     if isinstance(error, _OF_PROGRAMS):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from typing import Any
@@ -78,11 +79,11 @@ def _ome_pixel_size(text: str, series: int) -> PixelSize:
         return {}, {}
     noted = all_pixels[min(series, len(all_pixels) - 1)].attrib
     found = [(axis, f"PhysicalSize{axis.upper()}", "µm") for axis in "zyx"]
-    steps = [
-        (axis, noted.get(name), noted.get(f"{name}Unit", default))
+    steps = {
+        axis: (_number(noted.get(name)), noted.get(f"{name}Unit", default))
         for axis, name, default in [*found, ("t", "TimeIncrement", "s")]
-    ]
-    return _with_units({axis: (float(step), unit) for axis, step, unit in steps if step})
+    }
+    return _with_units(steps)
 
 
 def _lsm_pixel_size(noted: Mapping[str, Any]) -> PixelSize:
@@ -93,9 +94,18 @@ def _lsm_pixel_size(noted: Mapping[str, Any]) -> PixelSize:
 def _imagej_pixel_size(noted: Mapping[str, Any], page: Any) -> PixelSize:
     length = str(noted.get("unit", ""))
     steps = {axis: (step, length) for axis, step in _steps_of_pixels(page).items()}
-    steps["z"] = (float(noted.get("spacing", 0)), str(noted.get("zunit", length)))
-    steps["t"] = (float(noted.get("finterval", 0)), str(noted.get("tunit", "s")))
+    steps["z"] = (_number(noted.get("spacing")), str(noted.get("zunit", length)))
+    steps["t"] = (_number(noted.get("finterval")), str(noted.get("tunit", "s")))
     return _with_units(steps)
+
+
+def _number(noted: Any) -> float:
+    """Return a number as a file notes it; 0 if it notes none, or what is no number."""
+    try:
+        value = float(noted or 0)
+    except (TypeError, ValueError):
+        return 0.0
+    return value if math.isfinite(value) else 0.0
 
 
 def _steps_of_pixels(page: Any) -> dict[str, float]:

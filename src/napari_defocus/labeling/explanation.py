@@ -162,7 +162,8 @@ class PixelExplanation:
         nearly = self.scales[self.log_likelihood > -_NEARLY]
         if nearly.size and np.ptp(nearly) > 2 * _tolerance(nearly.mean()):
             yield (
-                f"All answers from {_px(nearly[0])} to {_px(nearly[-1])} px are nearly as likely."
+                f"Seen alone, this place may have any blur from {_px(nearly[0])} to "
+                f"{_px(nearly[-1])} px."
             )
 
     def _on_map(self) -> Iterator[str]:
@@ -170,9 +171,10 @@ class PixelExplanation:
             return
         best = self.best
         if best is not None and not self.extrapolated and abs(self.blur - best) > _tolerance(best):
+            alone = f"Seen alone, its likeliest blur is {_px(best)} px. "
             yield (
-                f"The likeliest answer here is {_px(best)} px. The map does not follow it, as the "
-                "neighbours say something else."
+                f"{alone if self.own_window is None else ''}The map has {_px(self.blur)} px, "
+                "because that fits the places around it better."
             )
         if self.blur > self.scales[-2]:
             yield f"No blur beyond {_px(self.scales[-1])} px was looked for: it may be wider."
@@ -319,7 +321,7 @@ def draw_explanation(
         xlim=(0, told.scales[-1]),
         ylim=(floor, -floor / 20),
         xlabel=told.scale_name,
-        ylabel="log p(r) below its maximum",
+        ylabel="how likely: log p(r), 0 at the best",
         title=_title(told),
     )
     if legend:

@@ -10,7 +10,7 @@ from scipy.ndimage import correlate1d, uniform_filter
 
 from napari_defocus.core.checks import Linearize
 from napari_defocus.core.image import PreparedImage, prepare_image
-from napari_defocus.likelihood.jpeg_steps import LEVELS, quantization_step
+from napari_defocus.core.jpeg_steps import LEVELS, quantization_step
 from napari_defocus.likelihood.noise_shading import PLACES_APART, NoisePlaces
 from napari_defocus.settings import MapSettings
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from napari_defocus.core.checks import Linearize, check_real
 from napari_defocus.core.image import PreparedImage, prepare_image
-from napari_defocus.likelihood.jpeg_steps import quantization_step
+from napari_defocus.core.jpeg_steps import quantization_step
 from napari_defocus.likelihood.noise import (
     FINE,
     FINEST,

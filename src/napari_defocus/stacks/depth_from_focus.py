@@ -63,7 +63,7 @@ _ENOUGH = np.float32(0.9)
 _ROWS_AT_ONCE = 64
 """Rows of windows that are worked on at once. Results do not depend on it."""
 
-_LEAST_BLUR, _MOST_PX_A_PLANE = 0.7, 8.0
+_LEAST_BLUR, MOST_PX_A_PLANE = 0.7, 8.0
 """px: the least blur over a whole stack, and the most from plane to plane, that is looked for.
 Chosen by hand.
 """
@@ -227,10 +227,8 @@ class StackPower:
             return float("nan")
         planes = power.shape[2]
         positions = np.arange(0, planes - 1 + _HALF_PLANE / 2, _HALF_PLANE)
-        rungs = int(
-            np.ceil(np.log(_MOST_PX_A_PLANE * (planes - 1) / _LEAST_BLUR) / np.log(_LADDER))
-        )
-        rates = _MOST_PX_A_PLANE * _LADDER ** -np.arange(rungs + 1.0)
+        rungs = int(np.ceil(np.log(MOST_PX_A_PLANE * (planes - 1) / _LEAST_BLUR) / np.log(_LADDER)))
+        rates = MOST_PX_A_PLANE * _LADDER ** -np.arange(rungs + 1.0)
         best, least = rates[0], np.inf
         for halving in range(_HALVINGS + 1):
             for rate in rates:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,7 @@ from napari_defocus.stacks.alignment import StackAlignment
 from napari_defocus.stacks.best_focus import best_focus
 from napari_defocus.stacks.composites import put_together
 from napari_defocus.stacks.contrast_peaks import Peak, check_peak
+from napari_defocus.stacks.depth_from_focus import MOST_PX_A_PLANE
 from napari_defocus.stacks.matched_planes import Align, Match, check_align, check_match, matched
 from napari_defocus.stacks.plane_reader import PlaneReader
 from napari_defocus.stacks.plane_weights import Shares
@@ -296,8 +298,21 @@ def sharpest_plane(
         alignment=planes.alignment,
         gain=np.ones(len(planes)) if planes.exposure is None else planes.exposure.gain,
         two_peaks=focus.two_peaks,
-        notes=planes.notes + _told_peaks(focus.share_of_two_peaks, peak),
+        notes=(
+            *planes.notes,
+            *_told_rate(focus.px_per_plane if px_per_plane is None else 0.0),
+            *_told_peaks(focus.share_of_two_peaks, peak),
+        ),
     )
+
+
+def _told_rate(found: float) -> Iterator[str]:
+    if found >= MOST_PX_A_PLANE:
+        yield (
+            f"Only single planes show detail, as if the blur grew by {MOST_PX_A_PLANE:.0f} px a "
+            "plane or more. If your steps are finer, planes differ in more than focus, such as in "
+            "light or scene, and positions can be wrong. If you know the growth, give it."
+        )
 
 
 def _told_peaks(share: float, peak: Peak) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ do not move measure up to 0.3 px at their ends.
 """
 
 _MOST_UNCERTAINTY = 1.0
-"""px: less certain alignments do not count. Chosen by hand."""
+"""px: less certain alignments do not count, unless planes have moved much farther. By hand."""
 
 _EVENLY = 1
 """Order of the splines that move a plane to compare means over squares."""
@@ -310,7 +310,7 @@ def _chosen_alignment(
     measured: StackAlignment | None, align: Align
 ) -> tuple[StackAlignment | None, tuple[str, ...]]:
     """Return what is applied, and what is said of it."""
-    if measured is None or measured.uncertainty.max() > _MOST_UNCERTAINTY:
+    if measured is None or not _is_certain(measured):
         told = "Planes show too little in common to tell whether they have moved"
         return None, (f"{told}; they were taken as aligned.",)
     if align != "auto":
@@ -322,6 +322,12 @@ def _chosen_alignment(
             " px); none was aligned.",
         )
     return kept, (f"Planes were aligned: {kept}.",)
+
+
+def _is_certain(measured: StackAlignment) -> bool:
+    """Return whether planes lie where they are said to, or have surely moved much farther."""
+    unsure = measured.uncertainty > _MOST_UNCERTAINTY
+    return bool((measured.motion > _SURE * measured.uncertainty)[unsure].all())
 
 
 def _surely(measured: StackAlignment) -> StackAlignment:

@@ -5,7 +5,8 @@ cross-correlation of one place in both planes has its peak where the place has m
 computed in blocks, to a fraction of a pixel (`block_shifts`). One similarity (shift, magnification,
 turn) is fitted to the blocks, with weights that leave out those that differ. The second plane is
 laid on the first, and the blocks measure what is left, until it is little. How much the blocks
-differ says how sure the motion is.
+differ says how sure the motion is. Where few blocks show anything, as with cells on a dark
+ground, they cannot tell a turn; then only a shift is fitted.
 
 Neighbouring planes are compared, because their blur is similar. pystackreg compares whole planes.
 It gives no error to tell a motion from none, and takes brightness for motion. Log-polar transforms
@@ -55,6 +56,11 @@ _KNOWN = 0.95
 
 _FEWEST_BLOCKS = 4
 """From so many blocks on, a magnification and a turn are fitted, too. Chosen by hand."""
+
+_UNSURE = 0.25
+"""px at a corner: a similarity of a larger error is given up for a shift. Chosen by hand: four
+neighbours of such an error are off by half a pixel.
+"""
 
 _OUTLIER = 1.5
 """A block counts less if it is off by more than so many standard deviations. Chosen by hand."""
@@ -108,6 +114,10 @@ class Motion:
         """Return by how many px a place is moved at most that is so far from the middle."""
         return abs(self.shift) + corner * abs(self.factor - 1)
 
+    def error_at_corner(self, corner: float) -> float:
+        """Return the standard error of a place that is so far from the middle, in px."""
+        return math.hypot(self.error_of_shift, corner * self.error_of_factor)
+
     def inverse(self) -> Motion:
         """Return the way back."""
         return Motion(
@@ -160,7 +170,11 @@ def motion_between(first: Details, second: Details) -> Motion:
         rough = motion_between(first.rough, second.rough)
         scaled = Motion(rough.factor, rough.shift * first.step)
         start = scaled if scaled.at_corner(first.corner) > _HARDLY else start
-    return _refined(first, second, start)
+    similarity = _refined(first, second, start)
+    if similarity.error_at_corner(first.corner) < _UNSURE:
+        return similarity
+    shift = _refined(first, second, Motion(shift=start.shift), only_shift=True)
+    return min(similarity, shift, key=lambda motion: motion.error_at_corner(first.corner))
 
 
 def alignment_of(motions: list[Motion], shape: tuple[int, int]) -> StackAlignment | None:
@@ -180,9 +194,7 @@ def alignment_of(motions: list[Motion], shape: tuple[int, int]) -> StackAlignmen
     factors = np.array([motion.factor for motion in found])
     shifts = np.array([motion.shift for motion in found])
     corner = math.hypot(*shape) / 2
-    errors = [
-        math.hypot(motion.error_of_shift, corner * motion.error_of_factor) for motion in found
-    ]
+    errors = [motion.error_at_corner(corner) for motion in found]
     return StackAlignment(
         shape=shape,
         reference=reference,
@@ -200,7 +212,7 @@ def _shrunk(plane: Float32, step: int) -> Float32:
     return np.asarray(squares.mean(axis=(1, 3)))
 
 
-def _refined(first: Details, second: Details, motion: Motion) -> Motion:
+def _refined(first: Details, second: Details, motion: Motion, only_shift: bool = False) -> Motion:
     """Ask the blocks, several times, for what a motion leaves."""
     shape = first.fine.shape
     side = min(*shape, max(_LEAST_BLOCK, min(_MOST_BLOCK, min(shape) // 3)))
@@ -210,7 +222,7 @@ def _refined(first: Details, second: Details, motion: Motion) -> Motion:
         places, left, weights = blocks.asked(laid)
         if not len(places):
             return Motion()
-        change = _fitted(places, left, weights)
+        change = _fitted(places, left, weights, only_shift)
         motion = change.before(motion)
         if change.at_corner(first.corner) < _SETTLED:
             break
@@ -288,15 +300,15 @@ def _sums(blocks: Float32) -> Float64:
     return np.asarray(blocks.sum(axis=(1, 2), dtype=np.float64))
 
 
-def _fitted(places: Complex, shifts: Complex, likeness: Float64) -> Motion:
-    """Fit a similarity to what blocks say, those less that say something else."""
+def _fitted(places: Complex, shifts: Complex, likeness: Float64, only_shift: bool) -> Motion:
+    """Fit a similarity or a shift to what blocks say, those less that say something else."""
     weights, factor, spread = likeness, 0j, _TINY
     for _ in range(_ROBUST_ROUNDS):
         total = weights.sum()
         middle, shift = (weights * places).sum() / total, (weights * shifts).sum() / total
         away = places - middle
         spread = max(float((weights * np.abs(away) ** 2).sum() / total), _TINY)
-        if len(places) >= _FEWEST_BLOCKS:
+        if len(places) >= _FEWEST_BLOCKS and not only_shift:
             factor = (weights * away.conj() * (shifts - shift)).sum() / total / spread
         off = np.abs(shifts - shift - factor * away)
         usual = max(float(np.median(off)) * _NORMAL, _LEAST_SCATTER)
@@ -304,7 +316,7 @@ def _fitted(places: Complex, shifts: Complex, likeness: Float64) -> Motion:
     # Blocks that overlap by half say the same twice, along rows and along columns.
     independent = float(total**2 / (weights**2).sum()) / 4
     scatter = max(float((weights * off**2).sum() / total) / 2, _LEAST_SCATTER**2)
-    error = math.sqrt(scatter / max(independent - 2, _LEAST_FREEDOM))
-    return Motion(
-        complex(1 + factor), complex(shift - factor * middle), error / math.sqrt(spread), error
-    )
+    used = 1 if only_shift else 2
+    error = math.sqrt(scatter / max(independent - used, _LEAST_FREEDOM))
+    error_of_factor = 0.0 if only_shift else error / math.sqrt(spread)
+    return Motion(complex(1 + factor), complex(shift - factor * middle), error_of_factor, error)

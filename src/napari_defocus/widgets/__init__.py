@@ -15,6 +15,7 @@ _HOME_OF = {
     "SharpestPlaneWidget": "docks.sharpest_plane",
     "brushes": "layers.samples",
     "dandelion": "layers.samples",
+    "heic_reader": "layers.photographs",
     "map_reader": "export.map_files",
     "simulated_ramp": "layers.samples",
     "write_maps": "export.map_files",

@@ -140,3 +140,17 @@ def test_napari_shows_the_table(window, texture, qtbot):
     _, table = window.window.add_plugin_dock_widget("napari", "Features table widget")
     model = table.table.model()
     assert model.rowCount() == 3
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_map_of_a_part_has_the_colours_of_the_whole_on_which_it_lies(viewer, image, again):
+    whole = shown_plane(image, viewer.dims)
+    part = whole.part(slice(10, 50), slice(20, 80), region="shapes")
+    far = np.full(whole.shape, 20, np.float32)
+    made_with = MapSettings(), 3e-5
+    [of_whole] = add_results(viewer, [blur_map_layer(whole, far, *made_with)])
+    for _ in range(1 + again):
+        near = np.full(part.shape, 3, np.float32)
+        [of_part] = add_results(viewer, [blur_map_layer(part, near, *made_with)])
+    assert of_part.contrast_limits == of_whole.contrast_limits
+    assert of_part.contrast_limits[1] >= 20

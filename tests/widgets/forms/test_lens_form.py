@@ -1,9 +1,13 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import tifffile
 from napari.layers import Image
 
 from napari_defocus import psf_from_text
 from napari_defocus.psf import MICROSCOPE
+from napari_defocus.widgets.forms import microscope_fields
 from napari_defocus.widgets.forms.lens_form import LENSES, MEASURED, LensForm
 from napari_defocus.widgets.forms.microscope_fields import noted_in_layer
 
@@ -70,3 +74,21 @@ def test_pixel_size_of_a_layer_is_taken_only_if_pixels_are_square(form, width, n
             noted_in_layer(layer)
     else:
         assert noted_in_layer(layer) == {"pixel_size_um": noted}
+
+
+@pytest.mark.parametrize(("waves", "taken"), [((461, 509), 0.0), ((509, 509), 0.509)])
+def test_of_channels_with_several_wavelengths_none_is_taken_and_it_is_said(
+    form, tmp_path, monkeypatch, waves, taken
+):
+    about = {"PhysicalSizeX": 0.1, "PhysicalSizeY": 0.1, "Channel": {"EmissionWavelength": waves}}
+    path = tmp_path / "cells.ome.tif"
+    tifffile.imwrite(path, np.zeros((2, 8, 8), np.uint16), metadata={"axes": "CYX", **about})
+    layer = Image(np.zeros((2, 8, 8)), name="cells")
+    layer._source = layer.source.model_copy(update={"path": str(path)})
+    said = []
+    monkeypatch.setattr(microscope_fields, "show_info", said.append)
+    form.microscope.attach(SimpleNamespace(value=layer))
+    form.microscope.read_button.native.click()
+    assert form.microscope.wavelength.value == taken
+    assert form.microscope.pixel_size.value == 0.1
+    assert ("different wavelengths: fill in that of the channel" in said[0]) == (not taken)

@@ -107,7 +107,7 @@ def test_what_the_blur_map_widget_has_estimated_is_used(viewer, leaf, method):
 def test_summary_says_so_if_the_picture_does_not_fit_its_map(viewer, leaf, method, misfit):
     method.misfit = misfit
     results = restoration(viewer, leaf).run(JobCache())
-    assert ("may not fit its map" in results.summary) == (misfit > 0)
+    assert ("may not fit this picture" in results.summary) == (misfit > 0)
 
 
 def test_settings_reach_the_method(viewer, leaf, method):

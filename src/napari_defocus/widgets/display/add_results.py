@@ -29,6 +29,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     PLANES,
     RUN,
     STORE,
+    layer_of_result,
     made_by_us,
     newest_first,
     region_of_result,
@@ -146,6 +147,7 @@ def _showing(
         if _is_mask_on_map(viewer, layer):
             layer.contour, layer.opacity = OUTLINE, 1.0
         layer = viewer.add_layer(layer)
+        _share_colors(viewer, layer)
         if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
             show_color_bar(layer)
@@ -162,7 +164,18 @@ def _showing(
     if limits is not None and tuple(layer.contrast_limits_range) != limits:
         layer.contrast_limits_range = limits
         layer.contrast_limits = limits
+        _share_colors(viewer, layer)
     yield layer
+
+
+def _share_colors(viewer: ViewerModel, layer: Layer) -> None:
+    """Let the map of a part have the colours of the whole map on which it lies, if they reach."""
+    if made_by_us(layer) != BLUR_MAP or not region_of_result(layer):
+        return
+    whole = layer_of_result(viewer.layers, BLUR_MAP, layer.metadata[METADATA_KEY]["source"], "")
+    if whole is not None and whole.contrast_limits[1] > layer.contrast_limits[1]:
+        layer.contrast_limits_range = whole.contrast_limits_range
+        layer.contrast_limits = whole.contrast_limits
 
 
 def show_color_bar(layer: Layer) -> None:

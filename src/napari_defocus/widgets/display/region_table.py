@@ -32,6 +32,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     IN_FOCUS,
     METADATA_KEY,
     layer_of_result,
+    region_of_result,
     result_layer,
 )
 
@@ -104,7 +105,8 @@ class WantedRegions:
 
     def description(self, measured: Measured) -> str:
         """Return what there is to say about it in words."""
-        return " ".join([_counted(measured[1]), *_missing(self.plane.name, self.maps)])
+        counted = _counted(measured[1], region_of_result(self.mask_layer))
+        return " ".join([counted, *_missing(self.plane.name, self.maps)])
 
 
 def wanted_regions(
@@ -179,13 +181,14 @@ def _pixels(plane: Plane) -> dict[str, Any]:
     return {"pixel_size": sides, "unit": f"{units[-1]:~}"}
 
 
-def _counted(table: RegionTable) -> str:
+def _counted(table: RegionTable, part: str) -> str:
     count = len(table) - 1
     if not count:
         return "Nothing is in focus."
     share = table.columns["share_percent"][1]
+    whole = "part" if part else "picture"
     regions = "1 region is" if count == 1 else f"{count} regions are"
-    return f"{regions} in focus; the largest is {share:.1f} % of the picture."
+    return f"{regions} in focus; the largest is {share:.1f} % of the {whole}."
 
 
 def _missing(name: str, maps: dict[str, Any]) -> list[str]:

@@ -14,6 +14,8 @@ from napari_defocus.widgets.display.covers import covers_of
 from napari_defocus.widgets.layers.result_metadata import (
     BLUR_MAP,
     CONFIDENCE,
+    DEFOCUS,
+    IN_FOCUS,
     METADATA_KEY,
     REGION,
     layer_of_result,
@@ -70,6 +72,16 @@ class ResultsDisplay:
             return None
         # Of a pyramid, the smallest level tells enough, and is read at once.
         return np.asarray(layer.data[-1] if layer.multiscale else layer.data)
+
+    def shown_beside(self, results: list[LayerDataTuple]) -> list[LayerDataTuple]:
+        """Return the map and the mask that are shown of what results are of, if they are not among
+        them: a slider renews one and leaves the other.
+        """
+        made = results[0][1]["metadata"][METADATA_KEY]
+        renewed = {keywords["metadata"][METADATA_KEY]["result"] for _, keywords, _ in results}
+        wanted = [name for name in (BLUR_MAP, DEFOCUS, IN_FOCUS) if name not in renewed]
+        found = [layer for name in wanted if (layer := self._newest(name, made)) is not None]
+        return [layer.as_layer_data_tuple() for layer in found if not layer.multiscale]
 
     def _newest(self, result: str, made: dict[str, Any]) -> Layer | None:
         """Return the newest layer of a result of the same part of the same picture."""

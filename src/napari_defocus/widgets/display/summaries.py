@@ -1,5 +1,6 @@
 """What there is to say about a map and a mask that were made: no Qt."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -7,10 +8,13 @@ from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
 from napari_defocus.core.picture_remarks import picture_remarks
-from napari_defocus.settings import CONFIDENT, MapSettings
+from napari_defocus.settings import CONFIDENT, UNKNOWN, MapSettings
 from napari_defocus.widgets.jobs.estimation import Picture
+from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import (
+    BLUR_MAP,
     DEFOCUS,
+    IN_FOCUS,
     METADATA_KEY,
     REGION,
     confidence_description,
@@ -21,21 +25,22 @@ from napari_defocus.widgets.layers.result_metadata import (
 def summary_of(
     results: list[LayerDataTuple], confidence: NDArray[np.floating] | None, picture: Picture
 ) -> str:
-    """Return a few lines: what makes the map say little, of which part it is, how sure it is."""
+    """Return a few lines: what makes the map say little, what was found, and how sure it is."""
     made = results[-1][1]["metadata"][METADATA_KEY]
     lines = picture_remarks(picture.image, MapSettings.window)
     # What is seen in the picture explains the doubt, too.
     said = ("lens",) if lines else ("doubt", "lens")
     lines += [made[name] for name in said if name in made]
-    lines += [_defocus_line(layer) for layer in results if _result(layer) == DEFOCUS]
     if REGION in made:
         lines.append(f"Measured: {made[REGION]['of']}")
-    lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
-    share = None if confidence is None else (confidence >= CONFIDENT).mean()
+    share = None if confidence is None else _share_sure(confidence, picture.plane.inside)
+    if share != 0:
+        lines += _found_lines(results, picture.plane)
     if share == 0:
         lines.append("Nothing can be known here: it has no texture that tells of blur.")
     elif share is not None:
         lines.append(confidence_description(share))
+    lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
     return "\n".join(lines)
 
 
@@ -43,8 +48,45 @@ def _result(layer: LayerDataTuple) -> Any:
     return layer[1]["metadata"][METADATA_KEY]["result"]
 
 
-def _defocus_line(layer: LayerDataTuple) -> str:
+def _is_of(layer: LayerDataTuple, plane: Plane) -> bool:
+    """Return whether a layer has the pixels of a plane, and not of a stack."""
+    return bool(np.size(layer[0]) == np.prod(plane.shape))
+
+
+def _share_sure(confidence: NDArray[np.floating], inside: NDArray[np.bool_] | None) -> float:
+    """Return the share of the pixels that count, as far as the confidence is of them alone."""
+    sure = confidence >= CONFIDENT
+    return float((sure if inside is None or inside.shape != sure.shape else sure[inside]).mean())
+
+
+def _found_lines(results: list[LayerDataTuple], plane: Plane) -> Iterator[str]:
+    """Say how wide the blur is where it counts, and how much is in focus."""
+    layer_of = {_result(layer): layer for layer in results}
+    of_plane = {name: layer for name, layer in layer_of.items() if _is_of(layer, plane)}
+    if BLUR_MAP not in of_plane:
+        return
+    blur = of_plane[BLUR_MAP][0].reshape(plane.shape)
+    judged = np.isfinite(blur) if plane.inside is None else np.isfinite(blur) & plane.inside
+    if not judged.any():
+        return
+    low, median, high = np.percentile(blur[judged], [5, 50, 95])
+    yield f"Blur: median {median:.1f} px (5 to 95 %: {low:.1f} to {high:.1f} px)"
+    if DEFOCUS in of_plane:
+        yield _defocus_line(of_plane[DEFOCUS], judged)
+    if IN_FOCUS in of_plane:
+        values, keywords, _ = of_plane[IN_FOCUS]
+        mask = values.reshape(plane.shape)[judged]
+        known = mask != UNKNOWN
+        if known.any():
+            threshold = keywords["metadata"][METADATA_KEY]["settings"]["threshold"]
+            whole = "the part" if plane.is_part or plane.inside is not None else "the picture"
+            of = whole if known.all() else "what is known"
+            share = f"{(mask[known] == 1).mean():.0%}"
+            yield f"In focus: {share} of {of} (blur up to {threshold:g} px)"
+
+
+def _defocus_line(layer: LayerDataTuple, judged: NDArray[np.bool_]) -> str:
     """Return the defocus of a picture in a line, and what one picture cannot tell of it."""
-    low, median, high = np.nanpercentile(layer[0], [5, 50, 95])
+    low, median, high = np.nanpercentile(layer[0].reshape(judged.shape)[judged], [5, 50, 95])
     side = layer[1]["metadata"][METADATA_KEY]["side"]
     return f"Defocus {median:.3g} µm (5 to 95 %: {low:.3g} to {high:.3g} µm), {side}"

@@ -165,7 +165,10 @@ class AnalysisPanel(ImagePanel):
         layer = add_seeds_layer(self._viewer, self.image.value)
         self.reset_choices()
         self.seeds.value = layer
-        self.say("Paint label 1 where it is in focus and 2 where it is blurred.")
+        self.say(
+            "Paint label 1 where it is in focus, and 2 where it is blurred. You choose the label "
+            "on the left, in “layer controls”."
+        )
         return layer
 
     def _keeps_earlier(self) -> bool:

@@ -272,7 +272,9 @@ class DefocusPanel(AnalysisPanel):
         self._show_threshold(results)
         if whole:
             self._on_min_confidence(self.settings.min_confidence.value)
-            lines = summary_of(results, self._display.confidence(results), analysed.picture)
+            beside = self._display.shown_beside(results)
+            sure = self._display.confidence(results)
+            lines = summary_of([*beside, *results], sure, analysed.picture)
             asked = analysis.estimation, analysis.mask or self.settings.mask_settings()
             plane = analysed.picture.plane
             self._found.note(plane, lines, shown, asked, all_planes=False)

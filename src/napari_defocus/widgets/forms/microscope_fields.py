@@ -8,7 +8,12 @@ from napari.layers import Image
 from napari.utils.notifications import show_info, show_warning
 
 from napari_defocus.io.microscope_files import lacks_extra
-from napari_defocus.io.microscope_metadata import Noted, noted_microscope, square_side
+from napari_defocus.io.microscope_metadata import (
+    Noted,
+    has_several_wavelengths,
+    noted_microscope,
+    square_side,
+)
 from napari_defocus.io.tiff_pixel_size import MICROMETERS
 from napari_defocus.psf.microscope import Microscope
 from napari_defocus.psf.parsing import psf_from_text, psf_text
@@ -117,7 +122,7 @@ class MicroscopeFields:
         if aloud:
             found = [str(f.label) for name, f in self._numbers().items() if noted.get(name)]
             told = ", ".join(found) or "nothing of its microscope"
-            show_info(f"“{layer.name}” notes {told}.")
+            show_info(f"“{layer.name}” notes {told}.{_told_wavelengths(layer)}")
 
     def _fill(self, known: Noted) -> None:
         for name, field in self._numbers().items():
@@ -144,10 +149,8 @@ def noted_in_layer(layer: Image) -> Noted:
     ValueError
         If pixels are not square.
     """
-    path = layer.source.path
-    noted: Noted = {}
-    if path is not None and not lacks_extra(Path(path)):  # then another plugin has read it
-        noted = noted_microscope(Path(path))
+    path = _readable_path(layer)
+    noted: Noted = {} if path is None else noted_microscope(path)
     sides = [
         float(side) * MICROMETERS[str(unit)]
         for side, unit in zip(layer.scale[-2:], layer.units[-2:], strict=True)
@@ -156,6 +159,19 @@ def noted_in_layer(layer: Image) -> Noted:
     if noted.get("pixel_size_um") is None and sides:
         noted["pixel_size_um"] = square_side(f"“{layer.name}”", sides)
     return noted
+
+
+def _readable_path(layer: Image) -> Path | None:
+    """Return the file of a layer; None if there is none, or another plugin has read it."""
+    path = layer.source.path
+    return None if path is None or lacks_extra(Path(path)) else Path(path)
+
+
+def _told_wavelengths(layer: Image) -> str:
+    path = _readable_path(layer)
+    if path is None or not has_several_wavelengths(path):
+        return ""
+    return " Its channels have different wavelengths: fill in that of the channel you measure."
 
 
 def _number(

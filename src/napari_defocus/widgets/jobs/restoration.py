@@ -35,8 +35,8 @@ Float32 = NDArray[np.float32]
 _LEAST_UNRESTORED = 0.005
 _UNRESTORED = "{percent:.0f}% of the picture was left as it was: restored, it would have rings."
 _MISFIT = (
-    "The picture may not fit its map: the lens, or the map, is another, or noise hides it. "
-    "Less blur is taken away, with more care."
+    "The lens or the map may not fit this picture. So less blur was taken away, and more was "
+    "smoothed than for the noise alone."
 )
 
 _LITTLE = 0.5
@@ -113,7 +113,7 @@ class Restoration:
 
     def summary(self, made: Restored) -> str:
         """Return what there is to say about what was made."""
-        lines = [noise_description(self.settings.noise_variance, [made.fit.noise_variance])]
+        lines = []
         if made.fit.misfit > 0:
             lines.append(_MISFIT)
         if made.fit.unrestored >= _LEAST_UNRESTORED:
@@ -125,6 +125,7 @@ class Restoration:
             lines.append(confidence_description((confidence >= CONFIDENT).mean()))
         elif self.protect:
             lines.append("Nothing is protected: the map has no confidence layer.")
+        lines.append(noise_description(self.settings.noise_variance, [made.fit.noise_variance]))
         return "\n".join(lines)
 
 

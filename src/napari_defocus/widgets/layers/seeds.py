@@ -157,7 +157,7 @@ def add_seeds_layer(viewer: ViewerModel, image: Image) -> Labels:
         np.zeros(finest(image).shape[: image.ndim], np.uint8),
         name=f"{image.name} seeds",
         colormap=fixed_colors({IN_FOCUS: MASK_COLOR, BLURRED: BLURRED_COLOR}),
-        features={"meaning": ["not known", "in focus", "blurred"]},
+        features={"meaning": ["not painted", "in focus", "blurred"]},
         opacity=OPACITY,
         metadata={METADATA_KEY: made},
         **placement(image, (slice(None),) * image.ndim),
