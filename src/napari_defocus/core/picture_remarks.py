@@ -25,7 +25,7 @@ _MOST_IN_PALETTE = 256
 _PIXELS_A_COLOR = 16
 """Tiny pictures have few colours without a palette. Chosen by hand."""
 
-_LOOKED_AT_FOR_STEPS = 1024
+_LOOKED_AT_FOR_STEPS = 768
 """px: the most rows and columns in the middle that are looked at for JPEG's steps. By hand."""
 
 _STRONG_STEP = 20.0
@@ -186,7 +186,7 @@ def _of_compression(picture: NDArray[Any]) -> Iterator[str]:
     margins = [max(0, (length - _LOOKED_AT_FOR_STEPS) // 2) for length in picture.shape[:2]]
     top, left = margins
     middle = np.ma.getdata(picture)[top : picture.shape[0] - top, left : picture.shape[1] - left]
-    grey = middle if middle.ndim == 2 else middle[..., :3].mean(axis=2)
+    grey = middle if middle.ndim == 2 else middle[..., :3].mean(axis=2, dtype=np.float32)
     step = quantization_step((grey / LEVELS).astype(np.float32), 1 / LEVELS)
     if step is not None and step >= _STRONG_STEP:
         yield (

@@ -1,5 +1,6 @@
 """What there is to say about a map and a mask that were made: no Qt."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -7,8 +8,7 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
-from napari_defocus.core.picture_remarks import picture_remarks
-from napari_defocus.settings import CONFIDENT, UNKNOWN, MapSettings
+from napari_defocus.settings import CONFIDENT, UNKNOWN
 from napari_defocus.widgets.jobs.estimation import Picture
 from napari_defocus.widgets.layers.image_layers import Plane
 from napari_defocus.widgets.layers.result_metadata import (
@@ -21,13 +21,16 @@ from napari_defocus.widgets.layers.result_metadata import (
     noise_description,
 )
 
+_LOOKED_AT = 200_000
+"""Pixels, spread over the picture, that are counted: the window waits meanwhile."""
+
 
 def summary_of(
     results: list[LayerDataTuple], confidence: NDArray[np.floating] | None, picture: Picture
 ) -> str:
     """Return a few lines: what makes the map say little, what was found, and how sure it is."""
     made = results[-1][1]["metadata"][METADATA_KEY]
-    lines = picture_remarks(picture.image, MapSettings.window)
+    lines = [*picture.remarks]
     # What is seen in the picture explains the doubt, too.
     said = ("lens",) if lines else ("doubt", "lens")
     lines += [made[name] for name in said if name in made]
@@ -65,28 +68,34 @@ def _found_lines(results: list[LayerDataTuple], plane: Plane) -> Iterator[str]:
     of_plane = {name: layer for name, layer in layer_of.items() if _is_of(layer, plane)}
     if BLUR_MAP not in of_plane:
         return
-    blur = of_plane[BLUR_MAP][0].reshape(plane.shape)
-    judged = np.isfinite(blur) if plane.inside is None else np.isfinite(blur) & plane.inside
+    step = math.ceil(math.sqrt(np.prod(plane.shape) / _LOOKED_AT))
+    some = {name: layer[0].reshape(plane.shape)[::step, ::step] for name, layer in of_plane.items()}
+    judged = np.isfinite(some[BLUR_MAP])
+    if plane.inside is not None:
+        judged &= plane.inside[::step, ::step]
     if not judged.any():
         return
-    low, median, high = np.percentile(blur[judged], [5, 50, 95])
+    low, median, high = np.percentile(some[BLUR_MAP][judged], [5, 50, 95])
     yield f"Blur: median {median:.1f} px (5 to 95 %: {low:.1f} to {high:.1f} px)"
-    if DEFOCUS in of_plane:
-        yield _defocus_line(of_plane[DEFOCUS], judged)
-    if IN_FOCUS in of_plane:
-        values, keywords, _ = of_plane[IN_FOCUS]
-        mask = values.reshape(plane.shape)[judged]
-        known = mask != UNKNOWN
-        if known.any():
-            threshold = keywords["metadata"][METADATA_KEY]["settings"]["threshold"]
-            whole = "the part" if plane.is_part or plane.inside is not None else "the picture"
-            of = whole if known.all() else "what is known"
-            share = f"{(mask[known] == 1).mean():.0%}"
-            yield f"In focus: {share} of {of} (blur up to {threshold:g} px)"
+    if DEFOCUS in some:
+        yield _defocus_line(some[DEFOCUS][judged], of_plane[DEFOCUS][1])
+    if IN_FOCUS in some:
+        yield from _focus_line(some[IN_FOCUS][judged], of_plane[IN_FOCUS][1], plane)
 
 
-def _defocus_line(layer: LayerDataTuple, judged: NDArray[np.bool_]) -> str:
+def _focus_line(mask: NDArray[np.integer], keywords: dict[str, Any], plane: Plane) -> Iterator[str]:
+    """Return how much is in focus, of what is known."""
+    known = mask != UNKNOWN
+    if known.any():
+        threshold = keywords["metadata"][METADATA_KEY]["settings"]["threshold"]
+        whole = "the part" if plane.is_part or plane.inside is not None else "the picture"
+        of = whole if known.all() else "what is known"
+        share = f"{(mask[known] == 1).mean():.0%}"
+        yield f"In focus: {share} of {of} (blur up to {threshold:g} px)"
+
+
+def _defocus_line(defocus: NDArray[np.floating], keywords: dict[str, Any]) -> str:
     """Return the defocus of a picture in a line, and what one picture cannot tell of it."""
-    low, median, high = np.nanpercentile(layer[0].reshape(judged.shape)[judged], [5, 50, 95])
-    side = layer[1]["metadata"][METADATA_KEY]["side"]
+    low, median, high = np.nanpercentile(defocus, [5, 50, 95])
+    side = keywords["metadata"][METADATA_KEY]["side"]
     return f"Defocus {median:.3g} µm (5 to 95 %: {low:.3g} to {high:.3g} µm), {side}"

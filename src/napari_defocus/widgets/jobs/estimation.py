@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus import pipeline
+from napari_defocus.core.picture_remarks import picture_remarks
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.worker_process import run_elsewhere
 from napari_defocus.psf import AUTO, left_open
@@ -72,6 +73,11 @@ class Picture:
     def key(self) -> tuple[Any, ...]:
         """What tells it from other pictures."""
         return (fingerprint(self.image),)
+
+    @cached_property
+    def remarks(self) -> list[str]:
+        """What it says of itself that makes a map say little."""
+        return picture_remarks(self.image, MapSettings.window)
 
     @cached_property
     def intensities(self) -> Intensities:
@@ -204,6 +210,7 @@ def analysed_picture(
     found = cache.analysed.known(layer, key)
     if found is None:
         found = Analysed(picture, settings, _candidates(picture, settings, progress))
+        _ = picture.remarks  # here, not where they are said: that would stop the window
         cache.analysed.put(layer(), key, found)
     return found
 
