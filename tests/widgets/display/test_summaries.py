@@ -6,6 +6,7 @@ from napari_defocus.widgets.display.summaries import summary_of
 from napari_defocus.widgets.jobs.estimation import Picture
 from napari_defocus.widgets.layers.image_layers import shown_plane
 from napari_defocus.widgets.layers.result_layers import blur_map_layer, in_focus_layer
+from napari_defocus.widgets.layers.result_metadata import say_noise_growth
 
 SHAPE = 100, 120
 
@@ -39,6 +40,13 @@ def test_the_first_lines_say_how_blurred_it_is_and_how_much_is_in_focus(plane):
     ]
     mask[:, 60:] = settings.UNKNOWN
     assert said_of(plane, mask)[1] == "In focus: 50% of what is known (blur up to 2.5 px)"
+
+
+def test_noise_that_grows_towards_the_corners_is_told(plane):
+    layer = blur_map_layer(plane, np.ones(SHAPE, np.float32), settings.MapSettings(), 3e-5)
+    (layer,) = say_noise_growth([layer], 1.3)
+    said = summary_of([layer], None, Picture.of(plane)).splitlines()
+    assert said[-1] == "Noise variance 3.0e-05 (found), 2.3 times that in the corners"
 
 
 def test_what_lies_outside_of_a_shape_does_not_count(plane):

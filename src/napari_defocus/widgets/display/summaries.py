@@ -43,7 +43,8 @@ def summary_of(
         lines.append("Nothing can be known here: it has no texture that tells of blur.")
     elif share is not None:
         lines.append(confidence_description(share))
-    lines.append(noise_description(made["settings"]["noise_variance"], [made["noise_variance"]]))
+    given, found = made["settings"]["noise_variance"], [made["noise_variance"]]
+    lines.append(noise_description(given, found, made.get("noise_growth", 0.0)))
     return "\n".join(lines)
 
 

@@ -41,6 +41,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     say_doubt,
     say_lens,
+    say_noise_growth,
 )
 from napari_defocus.widgets.layers.seeds import Seeds
 
@@ -205,7 +206,8 @@ class Analysis(Wanted):
         used = settled, settings, candidates.noise_variance, seeds, candidates.intensities
         counted = self.plane.counted(mask)
         layer = in_focus_layer(self.plane, counted, *used, threshold_found=found)
-        return say_doubt(say_lens([layer], candidates.psf_choice), candidates.doubt)[0]
+        layers = say_noise_growth([layer], candidates.noise_growth)
+        return say_doubt(say_lens(layers, candidates.psf_choice), candidates.doubt)[0]
 
 
 @dataclass(frozen=True, kw_only=True)

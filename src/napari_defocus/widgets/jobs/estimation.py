@@ -108,6 +108,8 @@ class EstimatedMap:
         How the family was chosen, if the picture was to choose it.
     doubt : str or None
         Why the picture does not look like defocus; None if it may.
+    noise_growth : float
+        By how much the noise is larger in the corners than in the centre.
     """
 
     values: Float32
@@ -118,6 +120,7 @@ class EstimatedMap:
     intensities: Intensities | None = None
     psf_choice: PSFChoice | None = None
     doubt: str | None = None
+    noise_growth: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +280,7 @@ def _labelled_map(analysed: Analysed, settings: MapSettings, progress: Progress)
         values, sure = found.blur_map, found.confidence
         safe = found.cautious(RestorationSettings.risk)
     used = candidates.noise_variance, candidates.psf, candidates.intensities, candidates.psf_choice
-    return EstimatedMap(values, safe, sure, *used, candidates.doubt)
+    return EstimatedMap(values, safe, sure, *used, candidates.doubt, candidates.noise_growth)
 
 
 def known_map(picture: Picture, settings: MapSettings, cache: JobCache) -> EstimatedMap | None:

@@ -45,6 +45,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     same_estimation,
     say_doubt,
     say_lens,
+    say_noise_growth,
 )
 
 if TYPE_CHECKING:
@@ -152,6 +153,7 @@ def layers_of_map(plane: Plane, settings: MapSettings, found: EstimatedMap) -> l
         blur_map_layer(plane, found.values.copy(), *made_with, found.psf, intensities),
         confidence_layer(plane, sure, *made_with, intensities),
     ]
+    say_noise_growth(layers, found.noise_growth)
     return say_doubt(say_lens(layers, found.psf_choice), found.doubt)
 
 

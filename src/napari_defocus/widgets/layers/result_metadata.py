@@ -164,17 +164,24 @@ def region_of_result(layer: Layer) -> str:
     return str(description.get("of", ""))
 
 
-def noise_description(given: float | None, variances: Collection[float]) -> str:
+def noise_description(
+    given: float | None, variances: Collection[float], growth: float = 0.0
+) -> str:
     """Return a line that says the noise variance of planes, and whether the user has given it.
+
+    `growth` is by how much it is larger in the corners than in the centre.
 
     Examples
     --------
     >>> noise_description(None, [1e-6, 2.5e-5]), noise_description(1e-6, [1e-6])
     ('Noise variance 1.0e-06 to 2.5e-05 (found)', 'Noise variance 1.0e-06 (given)')
+    >>> noise_description(None, [3e-5], 1.3)
+    'Noise variance 3.0e-05 (found), 2.3 times that in the corners'
     """
     low, high = float(min(variances)), float(max(variances))
     span = f"{low:.1e}" if low == high else f"{low:.1e} to {high:.1e}"
-    return f"Noise variance {span} ({'found' if given is None else 'given'})"
+    said = f"Noise variance {span} ({'found' if given is None else 'given'})"
+    return f"{said}, {1 + growth:.1f} times that in the corners" if growth else said
 
 
 def say_lens(layers: list[LayerDataTuple], choice: PSFChoice | None) -> list[LayerDataTuple]:
@@ -190,6 +197,14 @@ def say_doubt(layers: list[LayerDataTuple], doubt: str | None) -> list[LayerData
     if doubt is not None:
         for _, keywords, _ in layers:
             keywords["metadata"][METADATA_KEY]["doubt"] = doubt
+    return layers
+
+
+def say_noise_growth(layers: list[LayerDataTuple], growth: float) -> list[LayerDataTuple]:
+    """Let the metadata of new layers say by how much noise is larger in the corners, if it is."""
+    if growth:
+        for _, keywords, _ in layers:
+            keywords["metadata"][METADATA_KEY]["noise_growth"] = growth
     return layers
 
 
