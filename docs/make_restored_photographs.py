@@ -37,7 +37,7 @@ def main(photographs: Path, folder: Path) -> None:
         )
         both = np.hstack([picture, np.rint(255 * restored).astype(np.uint8)])
         path = folder / f"{name}-restored.jpg"
-        imageio.imwrite(path, both, quality=85)
+        imageio.imwrite(path, both, quality=75)
         print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
