@@ -232,7 +232,7 @@ def _limits_told(limits: FieldLimits) -> dict[str, str]:
     radius = f"{limits.in_focus_up_to:g} px"
     words = (
         "the picture could not be read or measured",
-        "the details agree in one direction, as after motion, by more than "
+        "nearly all details lie in one direction, as after motion, or agree in it by more than "
         f"{limits.max_one_direction:g} of 1: the radii say little",
         f"the median of the known blur is above {radius}",
         f"less than {percent['min_share_in_focus']} of what is known is blurred by at most "
