@@ -212,7 +212,8 @@ def label_blur_map(
         From `estimate_candidates` on the same picture. Their mode decides. "paper" takes the
         artificial likelihood of three candidates and expansion moves. "curve" takes the whole
         likelihood curve, of each window's own side of an edge. It labels from coarse to fine,
-        which is faster, and makes the map continuous.
+        which is faster, and makes the map continuous. Where wide blur is within 64 px, jumps cost a
+        tenth at the outline of the default mask (`segment_in_focus`).
     image : (H, W) or (H, W, 3) or (H, W, 4) array_like
         The picture, for its colours.
     smoothness : float, optional

@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.data_term import least_of_both
-from napari_defocus.labeling.graph_cuts import fuse_labels, improve, solve_exactly
+from napari_defocus.labeling.graph_cuts import CHOOSING_LABELS, fuse_labels, improve, solve_exactly
 from napari_defocus.labeling.multigrid import HALF, WIDE, coarser, finer
 
 Float32 = NDArray[np.float32]
 Labels = NDArray[np.int32]
 Grid = tuple[Float32, Float32]
-
-_STEP = "Choosing labels"
 
 _COARSEST = 2600
 """The most nodes of the coarsest grid, which is solved exactly."""
@@ -34,7 +32,7 @@ _COARSE_STEP = 4
 """There, every 4th label is a choice (every 2nd: no better a map, three times the time)."""
 
 _FIRST_WIDE = 81
-"""The first label beyond 8 px."""
+"""The first label beyond 8 px, with windows of 41 px."""
 
 _PRICE = np.float32(30)
 """How many labels of difference it costs to go from narrow to wide blur, when only these two are
@@ -129,7 +127,7 @@ def _to_the_finest(
         labels = improve(labels, *grid, everywhere=not (last and finest), progress=report)
         if not last:
             wide = _with_wide_regions(labels, wide, *grid)
-    progress(_STEP, 1.0)
+    progress(CHOOSING_LABELS, 1.0)
     return labels
 
 

@@ -38,7 +38,8 @@ Places = NDArray[np.int64]
 Free = tuple[int, int, int, int]
 Moves = Callable[[Labels, Float32, Float32, Free], None]
 
-_STEP = "Choosing labels"
+CHOOSING_LABELS = "Choosing labels"
+"""What progress is told."""
 
 _EVERYWHERE = 8
 """On finer grids, every 8th label is offered to all nodes."""
@@ -153,7 +154,7 @@ def _in_parts(
     done, total = 0, sum(len(group) for group in groups)
     for group in groups:
         for part, own in zip(group, in_order(moved, group), strict=True):
-            progress(_STEP, done / total)
+            progress(CHOOSING_LABELS, done / total)
             top, bottom, left, right = part.free
             mine = own[top:bottom, left:right]
             labels[slice(*part.rows), slice(*part.columns)] = mine
@@ -275,7 +276,7 @@ def expand_until_settled(
     left = 1.0  # of the bar: nobody knows how many rounds there will be
     while after < before - _LEAST_GAIN * abs(after):
         for alpha in range(count):
-            progress(_STEP, 1 - left * (1 - 0.5 * alpha / count))
+            progress(CHOOSING_LABELS, 1 - left * (1 - 0.5 * alpha / count))
             labels = expand(labels, alpha, data, weights)
         before, after = after, energy_of(labels, data, weights)
         left /= 2
