@@ -111,8 +111,11 @@ def test_maps_are_those_of_the_functions_and_rows_tell_of_them(photographs, tmp_
         assert row[f"{name}_radius_px"] == pytest.approx(np.percentile(blur_map, percent), abs=0.01)
     assert row["median_confidence"] == pytest.approx(np.median(sure), abs=0.001)
     assert row["share_sure"] == pytest.approx((sure >= 0.5).mean(), rel=1e-5)
-    assert row["share_in_focus"] == pytest.approx(mask[sure >= 0.5].mean(), rel=1e-5)
-    assert row["threshold_px"] == napari_defocus.focus_threshold(candidates, picture)
+    threshold = napari_defocus.focus_threshold(candidates, picture)
+    assert row["threshold_px"] == threshold
+    known = sure >= 0.5
+    assert row["share_in_focus"] == pytest.approx((blur_map[known] <= threshold).mean(), rel=1e-5)
+    assert row["share_in_mask"] == pytest.approx(mask[known].mean(), rel=1e-5)
     safe = napari_defocus.cautious_blur_map(candidates, blur_map)
     noise = candidates.noise_variance
     _, fit = napari_defocus.restore_all_in_focus(

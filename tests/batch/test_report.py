@@ -345,7 +345,7 @@ def test_only_what_masks_mark_counts(halves):
     row = rows_in(out)["a.png"]
     assert row["flags"] == "out of focus"
     assert row["p5_radius_px"] > 3
-    assert row["share_in_focus"] == row["share_within_limit"] == 0
+    assert row["share_in_focus"] == row["share_within_limit"] == row["share_in_mask"] == 0
     assert not np.asarray(PIL.Image.open(out / row["mask"]))[:, :90].any()
     assert np.isnan(radii_in((out / "thumbnails" / "a-blur.png").read_bytes())[:, :90]).all()
     measure_batch(fields, halves / "all", settings=QUICK)

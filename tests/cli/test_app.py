@@ -232,6 +232,51 @@ def test_json_of_segment_has_the_share_in_focus(picture, instant):
     assert json.loads(run("segment", picture, "--json").stdout)["in_focus_percent"] == 100.0
 
 
+def careful_lines(result):
+    """Return what is said of a mask; that the picture is small goes without saying."""
+    lines = (line.split(maxsplit=1) for line in result.stdout.splitlines() if line)
+    said = [words for name, words in lines if name == "careful"]
+    return [words for words in said if "small" not in words]
+
+
+def test_mask_that_is_mostly_filled_from_around_is_told(picture, instant, monkeypatch):
+    def known_places(candidates, image, **options):
+        return np.arange(image.shape[1]) * np.ones((len(image), 1)) < 24
+
+    monkeypatch.setattr(napari_defocus, "known_places", known_places)
+    told = careful_lines(run("segment", picture))
+    assert told[0].startswith("The blur is not known on 75 % of the picture. There the mask is")
+    assert len(told) == 1
+    assert not careful_lines(run("segment", picture, "--unknown", "leave", "--force"))
+    within = np.zeros((80, 96), np.uint8)
+    within[:, :30] = 1
+    Image.fromarray(within).save(picture.with_name("cells.png"))
+    limited = ("--within", picture.with_name("cells.png"), "--force")
+    assert not careful_lines(run("segment", picture, *limited)), "most of the cells is known"
+
+
+def test_picture_that_may_be_blurred_as_a_whole_is_told(picture, instant, monkeypatch):
+    monkeypatch.setattr(napari_defocus, "focus_threshold", lambda *_, **__: 3.0)
+    told = careful_lines(run("segment", picture))
+    assert told[0].endswith("If the whole picture may be out of focus, give a threshold in px.")
+    assert not careful_lines(run("segment", picture, "--threshold", 3, "--force"))
+
+
+def test_where_nothing_is_known_no_number_looks_measured(picture):
+    Image.fromarray(np.full((60, 70), 90, np.uint8)).save(picture)
+    told = run("map", picture).stdout
+    assert "\nblur         not known anywhere; the map says: median " in told
+    assert "The blur is not known anywhere, so the mask says nothing." in careful_lines(
+        run("segment", picture)
+    )
+
+
+def test_several_pictures_are_a_batch(picture):
+    result = run("segment", picture, picture)
+    assert result.exit_code == 2
+    assert "napari-defocus batch --mask PICTURES -o FOLDER" in result.stderr
+
+
 def test_quiet_prints_nothing(picture, instant):
     result = run("map", picture, "--quiet")
     assert (result.exit_code, result.output) == (0, "")

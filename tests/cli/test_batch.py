@@ -41,7 +41,7 @@ def test_workers_of_a_scheduler_write_what_this_process_does(pictures, address):
         (pictures / name).touch()
     result = run_batch(address, "--confidence", "--mask")
     assert result.exit_code == 0, result.output
-    assert "2 of 2 measured\nleft out     2 .txt, 1 .oib\n" in result.stdout
+    assert "pictures     2 of 2 measured\nleft out     2 .txt, 1 .oib\n" in result.stdout
     assert "careful" not in result.stdout
     assert result.stderr == ""
     wanted = {"confidence": True, "mask": True}
@@ -67,7 +67,9 @@ def test_what_failed_is_counted_in_one_line_and_by_the_exit_code(pictures, addre
     assert result.exit_code == batch_commands.SOME_FAILED
     facts = json.loads(result.stdout)
     assert (facts["planes"], facts["failed"], facts["left_out"]) == (3, 1, {})
-    assert result.stderr == "napari-defocus: 1 could not be measured; the table says why\n"
+    named, counted = result.stderr.splitlines()
+    assert named.startswith("napari-defocus: cannot read pictures/")
+    assert counted == "napari-defocus: 1 could not be measured; the table says why"
     rows = (pictures.parent / "out" / "table.csv").read_text().splitlines()
     assert rows[1].startswith('pictures/bad.png,,failed,"cannot read pictures/bad.png: it')
 
@@ -114,6 +116,12 @@ def test_what_cannot_be_done_is_said_in_one_line(pictures, arguments, saying):
     result = run("batch", "pictures", "-o", "out", *arguments)
     assert_fails_in_one_line(result, saying=saying)
     assert names_in(pictures.parent) == ["pictures"]
+
+
+def test_other_results_than_before_are_all_that_is_said(pictures, address):
+    assert run_batch(address).exit_code == 0
+    saying = "what is made was map and is map, mask (give"
+    assert_fails_in_one_line(run_batch(address, "--mask"), saying=saying)
 
 
 def test_other_settings_than_before_are_said_in_one_line(pictures, address):

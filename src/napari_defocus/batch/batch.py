@@ -276,6 +276,7 @@ class _Counter:
     """How far a batch is, and for how long it will go on, by px measured since it was started."""
 
     progress: Progress
+    sources: int = 0
     planes: int = 0
     planes_done: int = 0
     px: int = 0
@@ -284,6 +285,8 @@ class _Counter:
     started: float = field(default_factory=time.monotonic)
 
     def expect(self, planes: int, px: int) -> None:
+        """Count a source that is there."""
+        self.sources += 1
         self.planes, self.px = self.planes + planes, self.px + px
 
     def skip(self, planes: int, px: int) -> None:
@@ -296,7 +299,8 @@ class _Counter:
 
     def tell(self) -> None:
         measured, left = self.px_done - self.px_before, self.px - self.px_done
-        text = f"{self.planes_done} of {self.planes} planes"
+        what = "pictures" if self.planes == self.sources else "planes"
+        text = f"{self.planes_done} of {self.planes} {what}"
         if measured and left:
             text += f", {duration((time.monotonic() - self.started) * left / measured)} left"
         self.progress(text, self.px_done / self.px if self.px else 1.0)

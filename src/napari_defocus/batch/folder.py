@@ -223,6 +223,8 @@ def write_note(path: Path, facts: Mapping[str, Any]) -> None:
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """Return in words in what two notes differ.
 
+    What only one of them has follows from another difference, if there is one that both have.
+
     Examples
     --------
     >>> differences({"map": {"window": 41}}, {"map": {"window": 31}})
@@ -230,6 +232,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """
     old, new = dict(_flat(before)), dict(_flat(now))
     names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+    names = [name for name in names if name in old and name in new] or names
     return ", ".join(
         f"{name.rpartition('.')[2]} was {_told(old.get(name))} and is {_told(new.get(name))}"
         for name in names

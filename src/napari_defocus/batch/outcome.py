@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 from napari_defocus.batch.flags import WORST_FIRST, flag_names
 from napari_defocus.batch.table import FAILED, Row
+
+_MOST_FAILURES = 5
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,10 @@ class BatchReport:
         A CSV file. A file with the same rows as JSON lines lies beside it.
     planes, failed : int
         How many rows the table has, and how many of these could not be measured.
+    sources : int
+        How many pictures and stacks there are; as many as planes, if all are pictures.
+    failures : dict of str to str
+        Why the first pictures that could not be measured could not, at most 5 of them.
     left_out : dict of str to int
         How many files of the folders and patterns were left out, by their endings, such as ".txt".
         "result" counts results of this package, "folder" folders in a folder.
@@ -47,6 +54,8 @@ class BatchReport:
     flagged: int = 0
     report: Path | None = None
     flags: dict[str, int] = field(default_factory=dict, hash=False)
+    sources: int = 0
+    failures: dict[str, str] = field(default_factory=dict, hash=False)
 
     @classmethod
     def of_rows(
@@ -59,6 +68,7 @@ class BatchReport:
     ) -> BatchReport:
         """Count what rows, judged by limits, say."""
         counts = Counter(name for row in rows for name in flag_names(row))
+        failed = {row["source"]: row.get("error") or "" for row in rows if row["status"] == FAILED}
         return cls(
             table=table,
             planes=len(rows),
@@ -68,4 +78,6 @@ class BatchReport:
             flagged=sum(bool(row["flags"]) for row in rows),
             report=report,
             flags={name: counts[name] for name in WORST_FIRST if counts[name]},
+            sources=len({row["source"] for row in rows}),
+            failures=dict(islice(failed.items(), _MOST_FAILURES)),
         )

@@ -134,7 +134,7 @@ class BatchPlan:
         parts.setdefault("mask", {"threshold": self.settings.mask.threshold})
         return {
             "version": napari_defocus.__version__,
-            "results": ", ".join(self.kinds),
+            "what is made": ", ".join(self.kinds),
             "scale": self.settings.map.family().scale_name,
             **parts,
             "min_confidence": self.min_confidence,

@@ -62,7 +62,8 @@ COLUMNS = (
     *("source", "plane", "status", "error", "width", "height"),
     *_RADII.values(),
     *_IN_UM.values(),
-    *("threshold_px", "share_in_focus", "median_confidence", "share_sure", LEFT, "careful"),
+    *("threshold_px", "share_in_focus", "share_in_mask", "median_confidence", "share_sure", LEFT),
+    "careful",
     *("median_known_radius_px", "share_saturated", "one_direction", *JUDGED),
     "noise_variance",
     *("intensity_low", "intensity_high", "contrast"),
@@ -76,7 +77,8 @@ class PixelCounts:
     """How many pixels have which radius and which confidence; counts of parts can be added.
 
     Radii are rounded to 0.01 px and confidences to 0.001. Pixels with a confidence of 0.5 or more
-    are `sure`, and have `known_radii`. Of these, so many are in focus.
+    are `sure`, and have `known_radii`. Of these, so many are in focus by the map. A mask says of so
+    many of them whether they are in focus (`judged`), and that so many are (`in_mask`).
     """
 
     radii: NDArray[np.int64]
@@ -84,6 +86,8 @@ class PixelCounts:
     confidences: NDArray[np.int64]
     in_focus: int
     sure: int
+    in_mask: int = 0
+    judged: int = 0
 
     def __add__(self, other: PixelCounts) -> PixelCounts:
         """Return the counts of both parts."""
@@ -99,17 +103,20 @@ class PixelCounts:
         radii, known, confidences = (
             np.array(note[key], np.int64) for key in ("radii", "known_radii", "confidences")
         )
-        return cls(radii, known, confidences, note["in_focus"], note["sure"])
+        numbers = {name: note[name] for name in ("in_focus", "sure", "in_mask", "judged")}
+        return cls(radii, known, confidences, **numbers)
 
     def facts(self) -> Row:
-        """Return what a row says of them; None where no pixel counts."""
+        """Return what a row says of them; None where no pixel counts, and radii if none is sure."""
         count = int(self.radii.sum())
         radii = {
-            name: _percentile(self.radii, percent, RADIUS_STEP) for percent, name in _RADII.items()
+            name: _percentile(self.radii, percent, RADIUS_STEP) if self.sure else None
+            for percent, name in _RADII.items()
         }
         return {
             **radii,
             "share_in_focus": self.in_focus / self.sure if self.sure else None,
+            "share_in_mask": self.in_mask / self.judged if self.judged else None,
             "median_confidence": _percentile(self.confidences, 50, CONFIDENCE_STEP),
             "share_sure": self.sure / count if count else None,
             "median_known_radius_px": _percentile(self.known_radii, 50, RADIUS_STEP),
@@ -129,8 +136,8 @@ def count_pixels(
     """Count the pixels of a map, or of a part of it, (H, W) in px.
 
     What is not finite, or has no confidence, such as where a picture is transparent, does not
-    count, nor does what is 0 in `within`. In focus is only what is sure. Without a mask, radii up
-    to `threshold` are; none is above `max_scale`.
+    count, nor does what is 0 in `within`. Radii up to `threshold` are in focus; none is above
+    `max_scale`. A mask is counted where it says something and the map is sure.
 
     Examples
     --------
@@ -143,15 +150,17 @@ def count_pixels(
     if within is not None:
         counting &= within != 0
     radius, sure = blur_map[counting], confidence[counting]
-    focused = radius <= threshold if mask is None else mask[counting] == 1
-    known = sure >= CONFIDENT if mask is None else (sure >= CONFIDENT) & (mask[counting] != UNKNOWN)
+    known = sure >= CONFIDENT
+    said = np.full(radius.shape, UNKNOWN) if mask is None else mask[counting]
     bins = math.ceil(max_scale / RADIUS_STEP) + 1
     return PixelCounts(
         _histogram(radius, RADIUS_STEP, bins),
         _histogram(radius[known], RADIUS_STEP, bins),
         _histogram(sure, CONFIDENCE_STEP, round(1 / CONFIDENCE_STEP) + 1),
-        int((focused & known).sum()),
-        int(known.sum()),
+        in_focus=int((known & (radius <= threshold)).sum()),
+        sure=int(known.sum()),
+        in_mask=int((known & (said == 1)).sum()),
+        judged=int((known & (said != UNKNOWN)).sum()),
     )
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import sys
 import warnings
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
 import typer
+import typer.core
 
 import napari_defocus
 from napari_defocus.cli.batch import batch
@@ -63,6 +64,25 @@ def _program(
     """Measure the defocus blur of one picture: how many pixels wide, and what is in focus."""
 
 
+class _OnePicture(typer.core.TyperCommand):
+    """A command that takes one picture, and says which command takes many."""
+
+    _OF_MANY: ClassVar = {"map": "batch", "segment": "batch --mask", "restore": "batch --restore"}
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except Exception as error:  # a UsageError; whose, depends on typer's version
+            message: str | None = getattr(error, "message", None)
+            many = self._OF_MANY.get(self.name or "")
+            if message and many and "unexpected extra argument" in message:
+                vars(error)["message"] = (
+                    f"{message}. {self.name} takes one picture; for many there is "
+                    f"napari-defocus {many} PICTURES -o FOLDER"
+                )
+            raise
+
+
 for _name, _command in {
     "map": map_picture,
     "segment": segment_picture,
@@ -78,4 +98,4 @@ for _name, _command in {
     "calibrate": calibrate,
     "compare-psf": compare,
 }.items():
-    app.command(_name)(_command)
+    app.command(_name, cls=_OnePicture)(_command)

@@ -30,7 +30,8 @@ SOME_FAILED = 1
 def _lines(facts: Facts) -> Iterator[str]:
     from napari_defocus.io.picture_files import told_left_out
 
-    yield f"planes       {facts['planes'] - facts['failed']} of {facts['planes']} measured"
+    what = "pictures" if facts["planes"] == facts["sources"] else "planes"
+    yield f"{what:<12} {facts['planes'] - facts['failed']} of {facts['planes']} measured"
     if facts["left_out"]:
         yield f"left out     {told_left_out(facts['left_out'])}"
     if facts["doubtful"]:
@@ -45,6 +46,8 @@ def _lines(facts: Facts) -> Iterator[str]:
 
 def _end(facts: Facts) -> None:
     if facts["failed"]:
+        for source, error in facts["failures"].items():
+            complain(error if source in error else f"{source}: {error}")
         complain(f"{facts['failed']} could not be measured; the table says why")
         raise typer.Exit(SOME_FAILED)
 
@@ -163,6 +166,8 @@ def batch(
         "report": done.report and str(done.report),
         "planes": done.planes,
         "failed": done.failed,
+        "sources": done.sources,
+        "failures": done.failures,
         "left_out": done.left_out,
         "doubtful": done.doubtful,
         "flagged": done.flagged,

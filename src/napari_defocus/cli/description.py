@@ -93,18 +93,30 @@ def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]
     return facts
 
 
-def threshold_facts(asked: MaskSettings, used: MaskSettings) -> dict[str, Any]:
-    """Return up to which blur something counts as in focus, and whether the picture said it."""
-    return {"threshold_px": used.threshold, "threshold_found": asked.threshold == AUTO}
+def mask_facts(
+    judged: NDArray[Any],
+    asked: MaskSettings,
+    used: MaskSettings,
+    within: NDArray[Any] | None = None,
+) -> dict[str, Any]:
+    """Return what is told about a mask in which is left what is not known.
 
+    `asked` and `used` are its settings before and after the picture said its threshold.
+    """
+    from napari_defocus.labeling.focus_threshold import threshold_in_px
+    from napari_defocus.labeling.known import mask_remarks
 
-def mask_facts(judged: NDArray[Any]) -> dict[str, Any]:
-    """Return what is told about a mask in which is left what is not known."""
-    known = judged != UNKNOWN
-    share = float((judged == 1).sum() / known.sum()) if known.any() else None
+    counting = judged if within is None else judged[within]
+    known, tau = float((counting != UNKNOWN).mean()), threshold_in_px(used)
+    found = tau if asked.threshold == AUTO else None
+    share = float((counting == 1).sum() / (counting != UNKNOWN).sum()) if known else None
+    remarks = mask_remarks(share, known, unknown=used.unknown, threshold_found=found)
     return {
+        "threshold_px": tau,
+        "threshold_found": found is not None,
         "in_focus_percent": None if share is None else 100.0 * share,
-        "known_percent": 100.0 * float(known.mean()),
+        "known_percent": 100.0 * float((judged != UNKNOWN).mean()),
+        "mask_remarks": list(remarks),
     }
 
 
@@ -164,8 +176,11 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"map          {facts['map']}"
     if "blur_median_px" in facts:
         low, high = facts["blur_p5_px"], facts["blur_p95_px"]
+        # Where nothing is known, a median would look like something that was measured.
+        unknown = facts.get("confident_percent") == 0
         yield (
-            f"blur         median {facts['blur_median_px']:.1f} px, "
+            f"blur         {'not known anywhere; the map says: ' if unknown else ''}"
+            f"median {facts['blur_median_px']:.1f} px, "
             f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
         )
     yield from defocus_lines(facts)
@@ -180,6 +195,8 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"left out     {facts['left_out_percent']:.1f} % of the picture"
     if "in_focus_percent" in facts:
         yield from _mask_lines(facts)
+        for remark in facts["mask_remarks"]:
+            yield f"careful      {remark}"
         yield from _mask_against_map(facts)
 
 

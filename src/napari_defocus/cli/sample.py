@@ -14,7 +14,6 @@ from napari_defocus.cli.description import (
     map_facts,
     mask_facts,
     picture_facts,
-    threshold_facts,
 )
 from napari_defocus.cli.results import Files, check_endings, encoded_maps, encoded_masks
 from napari_defocus.core.checks import Linearize, check_threshold_or_auto
@@ -111,8 +110,7 @@ def demonstrate(
         contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
         files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))
     facts = picture_facts(Path("dandelion.jpg"), picture, outputs, found, settings)
-    facts |= map_facts(found) | threshold_facts(mask_settings, used)
-    return facts | mask_facts(judged)
+    return facts | map_facts(found) | mask_facts(judged, mask_settings, used)
 
 
 @contextmanager

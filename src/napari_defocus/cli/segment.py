@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import napari_defocus
 from napari_defocus import pipeline
 from napari_defocus.cli.command import Facts, command, last_lines
-from napari_defocus.cli.description import lines_of, mask_facts, picture_facts, threshold_facts
+from napari_defocus.cli.description import lines_of, mask_facts, picture_facts
 from napari_defocus.cli.option_groups import EvidenceOptions, said_threshold
 from napari_defocus.cli.results import Files, beside, check_endings, encoded_masks
 from napari_defocus.core.checks import Unknown, check_threshold_or_auto
@@ -115,7 +115,7 @@ def segment_picture(
 
         contents[alpha] = alpha_png(picture, napari_defocus.matte_in_focus(picture, mask), limits)
     facts = picture_facts(image, picture, outputs, candidates, settings)
-    facts |= threshold_facts(mask_settings, used) | mask_facts(judged)
+    facts |= mask_facts(judged, mask_settings, used, where)
     facts["within"] = within and str(within)
     facts["seeds"] = None if known is None else {"file": str(seeds)} | _seeds_facts(known)
     if regions:

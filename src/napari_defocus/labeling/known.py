@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -10,6 +12,50 @@ from napari_defocus.labeling.confidence import at_pixels
 from napari_defocus.labeling.focus_threshold import likeliest_scales
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.settings import CONFIDENT, UNKNOWN, MaskSettings
+
+_MOSTLY_KNOWN = 0.5
+"""Share of a picture. In photographs, 0.85 or more is known. Chosen by hand."""
+
+_ALL_IN_FOCUS, _CLEAR_THRESHOLD = 0.99, 2.5
+"""A share of what is known, and px: larger thresholds are found if the sharpest places are clearly
+blurred. Chosen by hand.
+"""
+
+
+def mask_remarks(
+    in_focus: float | None, known: float, *, unknown: str, threshold_found: float | None
+) -> Iterator[str]:
+    """Yield a sentence for each reason why a mask says less than it seems to.
+
+    Parameters
+    ----------
+    in_focus : float or None
+        The share of what is known that the mask calls in focus; None if nothing is known.
+    known : float
+        The share of the picture that is known.
+    unknown : {"fill", "leave"}
+        What was done with what is not known.
+    threshold_found : float or None
+        The threshold, in px, if it was found from the picture.
+
+    Examples
+    --------
+    >>> next(mask_remarks(0.5, 0.18, unknown="fill", threshold_found=2.0))[:44]
+    'The blur is not known on 82 % of the picture'
+    """
+    if in_focus is None:
+        yield "The blur is not known anywhere, so the mask says nothing."
+    elif unknown == "fill" and known < _MOSTLY_KNOWN:
+        yield (
+            f"The blur is not known on {100 * (1 - known):.0f} % of the picture. There the mask is "
+            "filled from around. To mark such places instead, leave what is unknown."
+        )
+    blurred = threshold_found is not None and threshold_found >= _CLEAR_THRESHOLD
+    if blurred and in_focus is not None and in_focus >= _ALL_IN_FOCUS:
+        yield (
+            "All that is known counts as in focus, measured by the sharpest places of this picture "
+            "itself. If the whole picture may be out of focus, give a threshold in px."
+        )
 
 
 def with_unknown_left(

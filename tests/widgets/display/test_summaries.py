@@ -17,7 +17,7 @@ def plane(viewer):
     return shown_plane(viewer.add_image(picture, name="leaf"), viewer.dims)
 
 
-def said_of(plane, mask):
+def said_of(plane, mask, *, known=120):
     """Return what is said of a map of 1 px on the left and 9 px on the right half."""
     blur = np.where(np.arange(SHAPE[1]) < 60, 1.0, 9.0) * np.ones(SHAPE)
     made = settings.MapSettings(), 1e-5
@@ -25,7 +25,7 @@ def said_of(plane, mask):
         blur_map_layer(plane, blur.astype(np.float32), *made),
         in_focus_layer(plane, mask, settings.MaskSettings(threshold=2.5), *made),
     ]
-    confidence = plane.counted(np.ones(SHAPE, np.float32))
+    confidence = plane.counted((np.arange(SHAPE[1]) < known) * np.ones(SHAPE, np.float32))
     return summary_of(layers, confidence, Picture.of(plane)).splitlines()
 
 
@@ -40,6 +40,12 @@ def test_the_first_lines_say_how_blurred_it_is_and_how_much_is_in_focus(plane):
     ]
     mask[:, 60:] = settings.UNKNOWN
     assert said_of(plane, mask)[1] == "In focus: 50% of what is known (blur up to 2.5 px)"
+
+
+def test_what_is_filled_from_around_is_not_counted_but_told(plane):
+    said = said_of(plane, np.ones(SHAPE, np.uint8), known=30)
+    assert said[1] == "In focus: 100% of what is known (blur up to 2.5 px)"
+    assert said[2].startswith("The blur is not known on 75 % of the picture. There the mask is")
 
 
 def test_noise_that_grows_towards_the_corners_is_told(plane):

@@ -8,6 +8,7 @@ import numpy as np
 from napari.types import LayerDataTuple
 from numpy.typing import NDArray
 
+from napari_defocus.labeling.known import mask_remarks
 from napari_defocus.settings import CONFIDENT, UNKNOWN
 from napari_defocus.widgets.jobs.estimation import Picture
 from napari_defocus.widgets.layers.image_layers import Plane
@@ -17,6 +18,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     IN_FOCUS,
     METADATA_KEY,
     REGION,
+    THRESHOLD_FOUND,
     confidence_description,
     noise_description,
 )
@@ -38,7 +40,7 @@ def summary_of(
         lines.append(f"Measured: {made[REGION]['of']}")
     share = None if confidence is None else _share_sure(confidence, picture.plane.inside)
     if share != 0:
-        lines += _found_lines(results, picture.plane)
+        lines += _found_lines(results, picture.plane, confidence)
     if share == 0:
         lines.append("Nothing can be known here: it has no texture that tells of blur.")
     elif share is not None:
@@ -63,7 +65,9 @@ def _share_sure(confidence: NDArray[np.floating], inside: NDArray[np.bool_] | No
     return float((sure if inside is None or inside.shape != sure.shape else sure[inside]).mean())
 
 
-def _found_lines(results: list[LayerDataTuple], plane: Plane) -> Iterator[str]:
+def _found_lines(
+    results: list[LayerDataTuple], plane: Plane, confidence: NDArray[np.floating] | None
+) -> Iterator[str]:
     """Say how wide the blur is where it counts, and how much is in focus."""
     layer_of = {_result(layer): layer for layer in results}
     of_plane = {name: layer for name, layer in layer_of.items() if _is_of(layer, plane)}
@@ -81,18 +85,26 @@ def _found_lines(results: list[LayerDataTuple], plane: Plane) -> Iterator[str]:
     if DEFOCUS in some:
         yield _defocus_line(some[DEFOCUS][judged], of_plane[DEFOCUS][1])
     if IN_FOCUS in some:
-        yield from _focus_line(some[IN_FOCUS][judged], of_plane[IN_FOCUS][1], plane)
+        known = some[IN_FOCUS][judged] != UNKNOWN
+        if confidence is not None and confidence.shape == tuple(plane.shape):
+            known &= confidence[::step, ::step][judged] >= CONFIDENT
+        yield from _focus_lines(some[IN_FOCUS][judged], known, of_plane[IN_FOCUS][1], plane)
 
 
-def _focus_line(mask: NDArray[np.integer], keywords: dict[str, Any], plane: Plane) -> Iterator[str]:
-    """Return how much is in focus, of what is known."""
-    known = mask != UNKNOWN
-    if known.any():
-        threshold = keywords["metadata"][METADATA_KEY]["settings"]["threshold"]
-        whole = "the part" if plane.is_part or plane.inside is not None else "the picture"
-        of = whole if known.all() else "what is known"
-        share = f"{(mask[known] == 1).mean():.0%}"
-        yield f"In focus: {share} of {of} (blur up to {threshold:g} px)"
+def _focus_lines(
+    mask: NDArray[np.integer], known: NDArray[np.bool_], keywords: dict[str, Any], plane: Plane
+) -> Iterator[str]:
+    """Say how much is in focus, of what is known, and why that may be less than it seems."""
+    if not known.any():
+        return
+    made = keywords["metadata"][METADATA_KEY]
+    threshold, unknown = (made["settings"][name] for name in ("threshold", "unknown"))
+    whole = "the part" if plane.is_part or plane.inside is not None else "the picture"
+    of = whole if known.all() else "what is known"
+    share = float((mask[known] == 1).mean())
+    yield f"In focus: {share:.0%} of {of} (blur up to {threshold:g} px)"
+    found = threshold if made.get(THRESHOLD_FOUND) else None
+    yield from mask_remarks(share, float(known.mean()), unknown=unknown, threshold_found=found)
 
 
 def _defocus_line(defocus: NDArray[np.floating], keywords: dict[str, Any]) -> str:
