@@ -15,6 +15,7 @@ from microscope_files import (
     write_pages,
     write_stk,
 )
+from PIL import Image
 
 import napari_defocus
 from napari_defocus.io.open import open_source, open_stack
@@ -59,12 +60,23 @@ def test_composite_and_positions_are_those_of_the_function_and_keep_the_scale(st
 
 
 def test_json_tells_the_planes_and_given_px_are_used(stack):
-    output = stack.with_name("all.tif")
+    output = stack.with_name("all.png")
     result = run("sharpest", stack, "-o", output, "--px-per-plane", 1, "--json")
     facts = json.loads(result.stdout, parse_constant=pytest.fail)
     assert facts["px_per_plane"] == 1
     assert sum(facts["share_of_plane"]) == pytest.approx(1)
     assert facts["files"] == [str(output)]
+    same = napari_defocus.sharpest_plane(tifffile.imread(stack), axes="zyx", px_per_plane=1)
+    with Image.open(output) as png:
+        np.testing.assert_array_equal(np.asarray(png), same.composite)
+    assert_fails_in_one_line(run("sharpest", stack, "-o", output), saying="--force overwrites it")
+
+
+def test_png_does_not_take_numbers_that_it_cannot_hold(tmp_path, planes):
+    path = tmp_path / "worm.tif"
+    tifffile.imwrite(path, planes[:, :50, :60].astype(np.float32), metadata={"axes": "ZYX"})
+    result = run("sharpest", path, "-o", tmp_path / "worm.png")
+    assert_fails_in_one_line(result, saying="holds float32; PNG takes 8 or 16 bit, .tif any")
 
 
 def test_alignment_is_saved_used_and_told(tmp_path, planes):
@@ -102,7 +114,7 @@ def test_all_channels_are_put_together_at_the_positions_of_one(tmp_path, small):
 @pytest.mark.parametrize(
     ("arguments", "saying"),
     [
-        (["-o", "x.png"], "must end in .tif"),
+        (["-o", "x.jpg"], "must end in .tif"),
         (["--px-per-plane", "0"], "--px-per-plane is 0"),
         (["-o", "worm.tif", "--force"], "it is a file that is read"),
     ],

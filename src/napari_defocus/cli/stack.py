@@ -76,8 +76,8 @@ def _sharpest_planes(shares: Sequence[float]) -> str:
     time NUMBER
         Which time to take, from 0; needed if STACK has several beside its planes.
     output -o PATH
-        Where to write the picture of the sharpest pixels (.tif). [default: STACK-sharpest.tif,
-        beside STACK]
+        Where to write the picture of the sharpest pixels (.tif, or .png if STACK has 8 or 16 bit).
+        [default: STACK-sharpest.tif, beside STACK]
     position PATH
         Where to write the position of best focus of every pixel (.tif): planes from 0, and parts of
         planes.
@@ -159,12 +159,18 @@ def sharpest(
     family = MapSettings(psf=psf, max_radius=max_radius, **shaping).family()
     if psf == AUTO:
         raise ValueError("psf is 'auto', which works for maps only; it takes a lens such as disc")
-    pictures = (output, position, height, confidence, all_channels)
+    pictures = (position, height, confidence, all_channels)
     check_endings([path for path in pictures if path], ".tif", ".tiff")
+    check_endings([output] if output else [], ".tif", ".tiff", ".png")
     if save_alignment is not None:
         check_endings([save_alignment], ".json")
     given = _given_alignment(use_alignment, align)
     source = open_stack(stack, scene)
+    if output is not None and _is_png(output) and source.data.dtype not in ("uint8", "uint16"):
+        raise ValueError(
+            f"output is {output}, but {source.path} holds {source.data.dtype}; PNG takes 8 or 16 "
+            "bit, .tif any"
+        )
     if all_channels is not None and "c" not in source.axes:
         raise ValueError(f"--all-channels: {source.path} has no channels")
     wanted = (output or _usual_output(source), position, confidence, height)
@@ -212,6 +218,10 @@ def sharpest(
         )
         laid.save(save_alignment, force=force)
     return facts
+
+
+def _is_png(path: Path) -> bool:
+    return path.suffix.lower() == ".png"
 
 
 def _z_step_um(source: Source, axis: str) -> float | None:
@@ -331,8 +341,13 @@ def _write_picture(
     made_with: dict[str, Any],
     force: bool,
 ) -> None:
+    from napari_defocus.core.writing import write_results
+    from napari_defocus.io.encoders import lossless_png
     from napari_defocus.io.tiff_writer import write_pyramidal_tiff
 
+    if _is_png(path):
+        write_results({path: lossless_png(values, quantity)}, force=force)
+        return
     write_pyramidal_tiff(
         path,
         values,

@@ -124,6 +124,13 @@ def picture_png(picture: ArrayLike, source: ArrayLike, quantity: str = ALL_IN_FO
     return marked_png(bytes(imagecodecs.png_encode(np.rint(levels).astype(dtype))), quantity)
 
 
+def lossless_png(picture: NDArray[Any], quantity: str) -> bytes:
+    """Encode a picture of 8 or 16 bit, (H, W[, 3]), as it is, as a PNG file with its quantity."""
+    import imagecodecs
+
+    return marked_png(bytes(imagecodecs.png_encode(np.ascontiguousarray(picture))), quantity)
+
+
 def _transparent_unknown(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return a picture without NaN, with an opacity of 0 where it had some."""
     colors = picture[..., :3] if picture.ndim == 3 else picture[..., None]
