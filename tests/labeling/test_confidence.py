@@ -49,6 +49,19 @@ def test_constant_region_of_a_picture_has_no_confidence(clouds, defocused):
     assert confidence[:, :60].mean() > 0.8
 
 
+def test_picture_smaller_than_a_window_is_no_surer_than_it_is_right(clouds, grass, defocused):
+    stated, right = [], []
+    for sharp in (clouds, grass):
+        for radius in (1, 3, 5):
+            blurred = defocused(sharp, radius, noise_variance=1e-5)
+            for top, left in ((20, 30), (70, 90), (110, 50), (50, 120)):
+                confidence, blur_map = confidence_of(blurred[top : top + 15, left : left + 15])
+                stated.append(confidence.mean())
+                right.append(abs(np.median(blur_map) - radius) <= 0.5)
+    assert np.mean(stated) <= np.mean(right) + 0.05
+    assert max(stated) < 0.8
+
+
 def test_transparent_half_has_no_confidence(clouds, defocused):
     picture = defocused(clouds, 3)
     rgba = np.dstack([picture] * 3 + [np.ones_like(picture)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -245,6 +246,7 @@ def _of_one_level(
     table = _table(picture.shape, how)
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = noise.relative_to_windows(picture, grid, gradient.pad, window)
+    seen = np.float32(_share_seen(picture.shape, window))
     scales = label_scales(psf)
     shape = (len(grid.row_of_window), len(grid.column_of_window))
     radii = np.empty((*shape, CANDIDATES), np.float32)
@@ -275,6 +277,9 @@ def _of_one_level(
             block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
             block_heights = np.full_like(block_radii, -np.inf)
         block_signs = signs_of(points, table, least_noise, window)
+        if seen < 1 and not plain:
+            block_curve *= seen
+            block_heights *= seen
         if opaque is not None:
             _silence_transparent(opaque[block].ravel(), block_radii, block_heights, block_curve)
         for result, values in (
@@ -333,6 +338,11 @@ def _opaque_share(
     if picture.opaque is not None:
         share *= picture.opaque
     return grid.mean_over_windows(share, pad, window)
+
+
+def _share_seen(shape: tuple[int, int], window: int) -> float:
+    """Return the share of a window that a picture fills; the rest mirrors it, and tells no more."""
+    return math.prod(min(1.0, length / window) for length in shape)
 
 
 def _silence_transparent(
