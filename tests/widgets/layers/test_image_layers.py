@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Image, Labels
+from napari.layers._source import layer_source
 
 from napari_defocus import __version__
 from napari_defocus.settings import MapSettings, MaskSettings
@@ -370,6 +371,17 @@ def test_infinite_pixels_are_refused_in_plain_words_and_nan_is_read(viewer, text
     texture[3, 4] = np.inf
     with pytest.raises(NotAnalysableError, match="it has infinite pixels"):
         plane_of(viewer.add_image(texture), viewer).read()
+
+
+@pytest.mark.parametrize(("name", "refused"), [("print.JPG", True), ("cut-out.png", False)])
+def test_inks_are_not_taken_for_colors_and_opacity(viewer, name, refused):
+    with layer_source(path=name):
+        layer = viewer.add_image(np.full((60, 70, 4), 9, np.uint8), rgb=True)
+    if refused:
+        with pytest.raises(NotAnalysableError, match=r"JPEG of inks \(CMYK\)"):
+            plane_of(layer, viewer).read()
+    else:
+        assert plane_of(layer, viewer).read().shape == (60, 70, 4)
 
 
 def test_too_large_a_plane_is_refused_before_it_is_computed(viewer, monkeypatch):

@@ -93,8 +93,14 @@ class Plane:
         Raises
         ------
         NotAnalysableError
-            If the plane has infinite pixels, or is too large.
+            If the plane has infinite pixels, is too large, or its colours are inks.
         """
+        layer = self.layer()
+        if layer is not None and _shows_inks(layer):
+            raise NotAnalysableError(
+                "its file is a JPEG of inks (CMYK), whose black ink is taken for opacity here. "
+                "Save it as RGB, and open that."
+            )
         image = self.values()
         _check_values(image)
         return image
@@ -176,6 +182,12 @@ def _check_values(image: NDArray[Any]) -> None:
         raise NotAnalysableError(
             "it has infinite pixels. Replace them by NaN, which says that they are not known."
         )
+
+
+def _shows_inks(layer: Image) -> bool:
+    """Return whether a layer has four channels from a JPEG: these have no opacity, but inks."""
+    path, channels = layer.source.path, finest(layer).shape[-1] if layer.rgb else 0
+    return channels == 4 and str(path or "").lower().endswith((".jpg", ".jpeg"))
 
 
 def check_pixels(shape: tuple[int, int]) -> None:
