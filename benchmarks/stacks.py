@@ -270,6 +270,8 @@ def moving_scores(
     inner = np.s_[EDGE:-EDGE, EDGE:-EDGE]
     seen, sharp = found.composite[inner].astype(float), stack.sharp[inner]
     seen = seen * (seen * sharp).sum() / (seen**2).sum()
+    if clipped:  # brighter than white is white
+        seen = seen.clip(0, 1)
     laid = found.alignment
     off = 0.0 if laid is None else float(np.abs(laid.shift - stack.shift).max())
     gains = float(np.abs(found.gain / stack.gain - 1).max())

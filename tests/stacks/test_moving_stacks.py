@@ -9,6 +9,7 @@ from skimage import data
 
 from benchmarks.moving_stacks import taken
 from napari_defocus import StackAlignment, composite_at, sharpest_plane
+from napari_defocus.stacks.white import White
 
 SIZE = 400
 MARGIN = 30
@@ -46,9 +47,13 @@ def of_moving(moving):
 
 
 def psnr(stack, picture):
-    """In dB, after the one factor of brightness that no stack tells; without its outermost px."""
+    """In dB, after the one factor of brightness that no stack tells; without its outermost px.
+
+    Of what is not white.
+    """
     inner = np.s_[12:-12, 12:-12]
-    seen, sharp = picture[inner].astype(float), stack.sharp[inner]
+    shown = stack.sharp[inner] < 1
+    seen, sharp = picture[inner].astype(float)[shown], stack.sharp[inner][shown]
     seen = seen * (seen * sharp).sum() / (seen**2).sum()
     return -10 * np.log10(np.mean((seen - sharp) ** 2))
 
@@ -73,6 +78,38 @@ def test_moving_planes_are_found_where_they_are(moving, of_moving):
 
 def test_flicker_is_found_to_half_a_percent(moving, of_moving):
     np.testing.assert_allclose(of_moving.gain, moving.gain, rtol=0.005)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "white"), [(np.uint8, 255), (np.uint16, 4095), (np.float32, 1.0)]
+)
+def test_clipped_light_stays_white_in_planes_that_flicker(scene, dtype, white):
+    """White is 4095 if a camera of 12 bits says so; beside highlights, nothing else is white."""
+    lit = scene.copy()
+    for row, column in ((110, 120), (210, 260), (290, 150)):
+        lit[row : row + 16, column : column + 16] = 12
+
+    def composite(**conditions):
+        stack = taken(lit, tilted, clipped=True, noise_variance=1e-6, margin=MARGIN, **conditions)
+        planes = white * stack.planes
+        planes = planes if dtype == np.float32 else np.rint(planes)
+        return stack, sharpest_plane(planes.astype(dtype)).composite / white
+
+    still, of_still = composite()
+    flickering, of_flickering = composite(flicker=0.25)
+    shown = flickering.sharp >= 1
+    assert np.mean(of_flickering[shown] == 1) > 0.98
+    assert of_flickering.max() == 1
+    assert psnr(flickering, of_flickering) > psnr(still, of_still) - 5
+
+
+def test_blurred_bright_spot_is_not_taken_for_clipped_light():
+    spot = np.hypot(*np.mgrid[-60:60, -60:60])
+    white = White(np.dtype(np.uint8))
+    white.see(np.rint(40 + 140 * np.exp(-((spot / 25) ** 2))).astype(np.uint8))
+    assert white.level == 255
+    white.see(np.rint(np.minimum(40 + 300 * np.exp(-((spot / 25) ** 2)), 200)).astype(np.uint8))
+    assert white.level == 200
 
 
 def test_composite_of_a_moving_stack_is_nearly_that_of_a_still_one(

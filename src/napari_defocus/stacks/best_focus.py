@@ -175,7 +175,7 @@ def _read_planes(
     shown = ShownDetail(planes.shape, len(planes))
     for number in range(len(planes)):
         progress("Reading the planes", number / len(planes))
-        plane = planes.read(number)
+        plane = planes.look_at(number)
         picture = read.prepared(plane)
         for found, known, bank in zip(power, shares, banks, strict=True):
             of_plane = bank.power(picture.luminance, picture.opaque)

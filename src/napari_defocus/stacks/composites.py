@@ -30,8 +30,33 @@ def put_together(
 ) -> NDArray[Any]:
     """Return the composite at positions: blended by shares, or of the nearest planes' pixels."""
     if shares is None:
-        return pixels_of_planes(read.planes, position, progress)
-    return blended(read.planes.read, position, shares, progress)
+        composite = pixels_of_planes(read.planes, position, progress)
+    else:
+        composite = blended(read.planes.read, position, shares, progress)
+    if read.planes.exposure is not None and np.isfinite(read.planes.white):
+        _keep_white(composite, position, read.planes, blend=shares is not None)
+    return composite
+
+
+def _keep_white(
+    composite: NDArray[Any], position: Float32, planes: MatchedPlanes, *, blend: bool
+) -> None:
+    """Let what is clipped in the planes around its position be white, and nothing be whiter.
+
+    To be as bright as the others, a plane is divided by its gain, and what was clipped in it is no
+    longer white. How bright it was, nobody knows.
+    """
+    position = position if blend else np.rint(position)
+    first, last = (each.astype(np.int32) for each in (np.floor(position), np.ceil(position)))
+    clipped = np.ones(composite.shape, bool)
+    for number in range(len(planes)):
+        around = (first == number) | (last == number)
+        if around.any():
+            clipped[around] &= planes.clipped(number)[around]
+    colors = np.s_[..., :3] if composite.ndim == 3 else np.s_[...]
+    white = composite.dtype.type(planes.white)
+    composite[colors][clipped[colors]] = white
+    np.minimum(composite[colors], white, out=composite[colors])
 
 
 def pixels_of_planes(planes: MatchedPlanes, position: Float32, progress: Progress) -> NDArray[Any]:
@@ -71,7 +96,7 @@ def composite_at(
     """Put the planes of a stack together at positions that were found in another one.
 
     The stack may be another channel of the same scene, whose own texture would tell less. Planes
-    are read one at a time, two to four times each.
+    are read one at a time, two to five times each.
 
     Parameters
     ----------
@@ -155,7 +180,7 @@ def _shares_of(
     shown, noise = ShownDetail(planes.shape, len(planes)), []
     for number in range(len(planes)):
         progress("Reading the planes", number / len(planes))
-        plane = planes.read(number)
+        plane = planes.look_at(number)
         picture = read.prepared(plane)
         shown.see(number, picture.luminance, planes.brightest(plane, number))
         if not planes.moves(number):

@@ -163,7 +163,7 @@ def sharpest_plane(
     coherent as a blur map is, see `label_blur_map`, and jump at the picture's edges. Where there is
     no texture, they come from around.
 
-    Planes are read one at a time, three to five times each, and never all at once.
+    Planes are read one at a time, three to six times each, and never all at once.
 
     Parameters
     ----------

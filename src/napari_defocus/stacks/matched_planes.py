@@ -26,6 +26,7 @@ from napari_defocus.stacks.exposure import (
 )
 from napari_defocus.stacks.planes import StackPlanes
 from napari_defocus.stacks.registration import Details, Motion, alignment_of, motion_between
+from napari_defocus.stacks.white import White
 
 Float32 = NDArray[np.float32]
 Align = Literal["auto"] | bool | StackAlignment
@@ -70,6 +71,8 @@ class MatchedPlanes:
         None if planes stay as bright as they are.
     evenly_lit : bool
         Whether planes are known to be equally bright, as found or made.
+    white : float
+        The value at which the camera clipped light, infinity if it clipped none.
     notes : tuple of str
         What was found and done, a sentence each.
     """
@@ -78,6 +81,7 @@ class MatchedPlanes:
     alignment: StackAlignment | None = None
     exposure: Exposure | None = None
     evenly_lit: bool = False
+    white: float = np.inf
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -114,12 +118,40 @@ class MatchedPlanes:
             values, known = self._moved(values, known, number)
         return _as_given(values, known, self.dtype)
 
+    def look_at(self, number: int) -> NDArray[Any]:
+        """Read a plane to compare it with others: clipped where the brightest one is, see `read`.
+
+        Planes that were divided by different gains are clipped at different values. The darkest
+        one would have the most contrast beside clipped light.
+        """
+        plane = self.read(number)
+        if not np.isfinite(self._ceiling):
+            return plane
+        colors = plane[..., :3] if plane.ndim == 3 else plane
+        limited = np.minimum(colors, self.dtype.type(self._ceiling))
+        if plane.ndim == 2 or plane.shape[2] <= 3:
+            return limited
+        return np.ma.concatenate([limited, plane[..., 3:]], axis=2)
+
+    @property
+    def _ceiling(self) -> float:
+        """Where the plane that was made darkest is clipped; infinity if none was made darker."""
+        if self.exposure is None or not np.isfinite(self.white):
+            return np.inf
+        offset = self.exposure.offset
+        lowest = np.asarray((self.white - offset) / self.exposure.gain.max() + offset)
+        return float(cast_to(lowest, self.dtype))
+
     def moves(self, number: int) -> bool:
         """Whether a plane is read between its pixels."""
         return self.alignment is not None and self.alignment.motion[number] > 0
 
     def brightest(self, plane: NDArray[Any], number: int) -> Float32:
-        """Return the brightest colour of each pixel of a plane that was read, as it was given."""
+        """Return the brightest colour of each pixel of a plane that was looked at.
+
+        As it was given, unless it is known where light is clipped: then all planes are clipped at
+        the same value.
+        """
         values = np.ma.getdata(plane)
         found = values if values.ndim == 2 else values[..., 0]
         for channel in range(1, min(values.shape[2], 3) if values.ndim == 3 else 1):
@@ -128,11 +160,25 @@ class MatchedPlanes:
         known = known_pixels(plane)
         if known is not None:
             found[~known] = found[known].min() if known.any() else 0
-        if self.exposure is not None and self._changes(number):
-            gain, offset = self.exposure.gain[number], self.exposure.offset
-            given = (found - np.float32(offset)) * np.float32(gain) + np.float32(offset)
-            found = np.where(found < _white(self.dtype), given, found)
-        return found
+        if self.exposure is None or np.isfinite(self._ceiling):
+            return found
+        gain, offset = self.exposure.gain[number], self.exposure.offset
+        given: Float32 = (found - np.float32(offset)) * np.float32(gain) + np.float32(offset)
+        return given
+
+    def clipped(self, number: int) -> NDArray[np.bool_]:
+        """Return where the camera clipped a plane's light, in each colour, as it is laid."""
+        plane = self.planes.read(number)
+        at_white = np.ma.getdata(plane) >= self.white
+        if self.moves(number):
+            assert self.alignment is not None
+            colors = at_white.reshape(*at_white.shape[:2], -1).astype(np.float32)
+            laid = [
+                self.alignment.aligned(colors[..., each], number, order=0)
+                for each in range(colors.shape[2])
+            ]
+            at_white = (np.stack(laid, axis=-1) == 1).reshape(at_white.shape)
+        return at_white
 
     def _changes(self, number: int) -> bool:
         return self.exposure is not None and self.exposure.gain[number] != 1
@@ -140,9 +186,7 @@ class MatchedPlanes:
     def _lit(self, values: NDArray[Any], number: int) -> NDArray[Any]:
         assert self.exposure is not None
         offset = self.exposure.offset
-        even = (values - offset) / self.exposure.gain[number] + offset
-        # How much brighter than white clipped light was, nobody knows: it stays white.
-        return np.where(values < _white(self.dtype), even, values)
+        return (values - offset) / self.exposure.gain[number] + offset
 
     def _moved(
         self, values: NDArray[Any], known: NDArray[np.bool_] | None, number: int
@@ -233,14 +277,14 @@ def matched(
         given.check_fits((planes.shape[0], planes.shape[1]), len(planes))
     if (given is not None or not align) and not match_brightness:
         return MatchedPlanes(planes, given, notes=_told_given(given))
-    measured, exposure = _measured(planes, align, given, progress)
+    measured, exposure, white = _measured(planes, align, given, progress)
     alignment, notes = given, _told_given(given)
     if given is None and align:
         alignment, notes = _chosen_alignment(measured, align)
     if not match_brightness:
         return MatchedPlanes(planes, alignment, notes=notes)
     chosen, even, told = _chosen_exposure(exposure, match_brightness)
-    return MatchedPlanes(planes, alignment, chosen, even, notes + told)
+    return MatchedPlanes(planes, alignment, chosen, even, white, notes + told)
 
 
 def _told_given(given: StackAlignment | None) -> tuple[str, ...]:
@@ -249,17 +293,19 @@ def _told_given(given: StackAlignment | None) -> tuple[str, ...]:
 
 def _measured(
     planes: StackPlanes, align: Align, given: StackAlignment | None, progress: Progress
-) -> tuple[StackAlignment | None, Exposure]:
+) -> tuple[StackAlignment | None, Exposure, float]:
     motions: list[Motion] = []
     pairs: list[Squares] = []
     darkest = np.inf
-    white = _white(planes.dtype)
+    white = White(planes.dtype)
     asked = given is None and bool(align)
     before: Float32 | None = None
     details: Details | None = None
     for number in range(len(planes)):
         progress(MEASURING, number / len(planes))
-        plane = _luminance(planes.read(number))
+        given_plane = planes.read(number)
+        white.see(given_plane)
+        plane = _luminance(given_plane)
         darkest = min(darkest, _darkest(plane))
         if given is not None:
             plane = given.aligned(plane, number, _EVENLY)
@@ -270,17 +316,12 @@ def _measured(
             motions.append(motion)
             laid = moved(plane, motion.factor, motion.shift, _EVENLY)
         if before is not None:
-            pairs.append(squares_of(before, laid, white))
+            pairs.append(squares_of(before, laid, white.level))
         before = plane
     exposure = exposure_of(pairs, darkest if np.isfinite(darkest) else 0.0)
     if not motions:
-        return None, exposure
-    return alignment_of(motions, (planes.shape[0], planes.shape[1])), exposure
-
-
-def _white(dtype: np.dtype[Any]) -> float:
-    """Return the value at which light is clipped; infinity for floats."""
-    return float(np.iinfo(dtype).max) if dtype.kind in "ui" else np.inf
+        return None, exposure, white.level
+    return alignment_of(motions, (planes.shape[0], planes.shape[1])), exposure, white.level
 
 
 def _luminance(plane: NDArray[Any]) -> Float32:

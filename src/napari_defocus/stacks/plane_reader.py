@@ -37,7 +37,7 @@ class PlaneReader:
 
     def __call__(self, number: int) -> PreparedImage:
         """Read a plane."""
-        return self.prepared(self.planes.read(number))
+        return self.prepared(self.planes.look_at(number))
 
     def prepared(self, plane: NDArray[Any]) -> PreparedImage:
         """Make a plane ready that was read."""
