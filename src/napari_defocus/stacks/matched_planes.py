@@ -127,11 +127,10 @@ class MatchedPlanes:
         plane = self.read(number)
         if not np.isfinite(self._ceiling):
             return plane
-        colors = plane[..., :3] if plane.ndim == 3 else plane
-        limited = np.minimum(colors, self.dtype.type(self._ceiling))
-        if plane.ndim == 2 or plane.shape[2] <= 3:
-            return limited
-        return np.ma.concatenate([limited, plane[..., 3:]], axis=2)
+        limited = plane.copy()
+        colors = limited[..., :3] if limited.ndim == 3 else limited
+        colors[...] = np.minimum(colors, self.dtype.type(self._ceiling))
+        return limited
 
     @property
     def _ceiling(self) -> float:
