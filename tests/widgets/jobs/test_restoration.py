@@ -227,6 +227,20 @@ def test_colour_stays_colour(viewer, method, channels):
     assert sharp.data.shape == (32, 48, 3)
 
 
+def test_color_bar_of_a_map_does_not_stay_over_the_restored_picture(viewer, leaf, method):
+    results = restoration(viewer, leaf).run(JobCache())
+    blur_map, confidence, _ = results.layers
+    blur_map[1]["visible"] = True
+    shown, _ = add_results(viewer, [blur_map, confidence])
+    assert shown.visible
+    *_, sharp = add_results(viewer, results.layers)
+    assert sharp.visible
+    assert not [layer.name for layer in viewer.layers if layer.visible and layer.colorbar.visible]
+    shown.visible = True
+    add_results(viewer, results.layers)
+    assert shown.visible, "once it is there, its user shows and hides it"
+
+
 def test_grey_picture_takes_the_place_of_a_colour_picture_of_its_name(viewer, method, texture):
     layer = viewer.add_image(np.dstack([texture] * 3), name="leaf")
     add_results(viewer, restoration(viewer, layer).run(JobCache()).layers)

@@ -15,6 +15,7 @@ from napari_defocus.widgets.display.cursor_text import show_under_cursor
 from napari_defocus.widgets.display.renaming import rename_with
 from napari_defocus.widgets.layers.image_layers import move_to
 from napari_defocus.widgets.layers.result_metadata import (
+    ALL_IN_FOCUS,
     AT,
     BEST_FOCUS,
     BLUR_MAP,
@@ -27,6 +28,7 @@ from napari_defocus.widgets.layers.result_metadata import (
     METADATA_KEY,
     PLACEMENT,
     PLANES,
+    REFOCUSED,
     RUN,
     STORE,
     layer_of_result,
@@ -38,6 +40,8 @@ from napari_defocus.widgets.layers.result_metadata import (
 )
 
 _WITH_COLOR_BAR = (BLUR_MAP, DEFOCUS, CONFIDENCE, DEPTH, BEST_FOCUS, HEIGHT, FOCUS_CONFIDENCE)
+
+_PICTURES = (ALL_IN_FOCUS, REFOCUSED)
 
 OUTLINE = 2
 """How wide the outline of a mask is inside of it, in px; a wider one takes napari long to draw."""
@@ -148,6 +152,7 @@ def _showing(
             layer.contour, layer.opacity = OUTLINE, 1.0
         layer = viewer.add_layer(layer)
         _share_colors(viewer, layer)
+        _hide_what_it_covers(viewer, layer)
         if made_by_us(layer) in _WITH_COLOR_BAR:
             yield layer
             show_color_bar(layer)
@@ -176,6 +181,16 @@ def _share_colors(viewer: ViewerModel, layer: Layer) -> None:
     if whole is not None and whole.contrast_limits[1] > layer.contrast_limits[1]:
         layer.contrast_limits_range = whole.contrast_limits_range
         layer.contrast_limits = whole.contrast_limits
+
+
+def _hide_what_it_covers(viewer: ViewerModel, layer: Layer) -> None:
+    """Hide maps below a new picture that covers them: their colour bars would lie on it."""
+    if made_by_us(layer) not in _PICTURES or region_of_result(layer):
+        return
+    source = layer.metadata[METADATA_KEY].get("source")
+    for result in _WITH_COLOR_BAR:
+        for covered in results_of(viewer.layers, result, source):
+            covered.visible = False
 
 
 def show_color_bar(layer: Layer) -> None:
