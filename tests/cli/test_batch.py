@@ -1,6 +1,7 @@
 """The terminal command for many pictures: real workers of a scheduler, and what it tells."""
 
 import json
+import re
 
 import numpy as np
 import PIL.Image
@@ -129,3 +130,9 @@ def test_other_settings_than_before_are_said_in_one_line(pictures, address):
     result = run_batch(address, "--window", 31)
     saying = "window was 41 and is 31 (give another folder, or --force to measure all of it again)"
     assert_fails_in_one_line(result, saying=saying)
+
+
+def test_what_is_out_of_focus_names_the_limit_and_its_option(pictures, address):
+    result = run_batch(address, "--in-focus-up-to", 0.1)
+    saying = r"flagged      2 of 2: 2 out of focus \(median above 0\.1 px, see --in-focus-up-to\)\n"
+    assert re.search(saying, result.stdout), result.stdout

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -172,6 +172,7 @@ def batch(
         "doubtful": done.doubtful,
         "flagged": done.flagged,
         "flags": done.flags,
+        "limits": asdict(limits),
     }
 
 

@@ -12,10 +12,17 @@ from napari_defocus.cli.command import Facts, command
 from napari_defocus.cli.option_groups import LimitOptions
 from napari_defocus.core.progress import Progress
 
+_OUT_OF_FOCUS = "out of focus"
+"""As `batch.flags` has it, which would be long to import for a message."""
+
 
 def flagged_line(facts: Facts) -> str:
-    """Say how many rows of a table have a flag, and how many each."""
-    flags = ", ".join(f"{count} {name}" for name, count in facts["flags"].items())
+    """Say how many rows of a table have a flag, how many each, and which limit can be changed."""
+    hint = f" (median above {facts['limits']['in_focus_up_to']:g} px, see --in-focus-up-to)"
+    flags = ", ".join(
+        f"{count} {name}{hint if name == _OUT_OF_FOCUS else ''}"
+        for name, count in facts["flags"].items()
+    )
     return f"flagged      {facts['flagged']} of {facts['planes']}{': ' * bool(flags)}{flags}"
 
 
