@@ -245,7 +245,7 @@ def test_mask_that_is_mostly_filled_from_around_is_told(picture, instant, monkey
 
     monkeypatch.setattr(napari_defocus, "known_places", known_places)
     told = careful_lines(run("segment", picture))
-    assert told[0].startswith("The blur is not known on 75 % of the picture. There the mask is")
+    assert told[0].startswith("The blur is not known on 75 % of the picture: the mask is filled")
     assert len(told) == 1
     assert not careful_lines(run("segment", picture, "--unknown", "leave", "--force"))
     within = np.zeros((80, 96), np.uint8)
@@ -258,7 +258,7 @@ def test_mask_that_is_mostly_filled_from_around_is_told(picture, instant, monkey
 def test_picture_that_may_be_blurred_as_a_whole_is_told(picture, instant, monkeypatch):
     monkeypatch.setattr(napari_defocus, "focus_threshold", lambda *_, **__: 3.0)
     told = careful_lines(run("segment", picture))
-    assert told[0].endswith("If the whole picture may be out of focus, give a threshold in px.")
+    assert told[0].endswith("If all of it may be blurred, give a threshold in px.")
     assert not careful_lines(run("segment", picture, "--threshold", 3, "--force"))
 
 
