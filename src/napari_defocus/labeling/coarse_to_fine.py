@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.labeling.data_term import least_of_both
+from napari_defocus.labeling.data_term import Costs, least_of_both
 from napari_defocus.labeling.graph_cuts import CHOOSING_LABELS, fuse_labels, improve, solve_exactly
 from napari_defocus.labeling.multigrid import HALF, WIDE, coarser, finer
 
 Float32 = NDArray[np.float32]
 Labels = NDArray[np.int32]
-Grid = tuple[Float32, Float32]
+Grid = tuple[Float32 | Costs, Float32]
 
 _COARSEST = 2600
 """The most nodes of the coarsest grid, which is solved exactly."""
@@ -43,7 +43,7 @@ _FORBIDDEN = np.float32(1e9)
 
 
 def minimize_energy(
-    data: Float32,
+    data: Float32 | Costs,
     weights: Float32,
     progress: Progress = silent,
     *,
@@ -54,7 +54,7 @@ def minimize_energy(
 
     Parameters
     ----------
-    data : (R, C, L) float32 ndarray
+    data : (R, C, L) float32 ndarray or Costs
         D, the cost of each label at each node.
     weights : (4, R, C) or (8, R, C) float32 ndarray
         w between a node and its neighbour at each of `STEPS`; 0 where there is none. If there are
@@ -70,15 +70,15 @@ def minimize_energy(
     -------
     (R, C) int32 ndarray
     """
-    levels = [(data, weights)]
+    levels: list[Grid] = [(data, weights)]
     while levels[-1][1][0].size > _COARSEST:
         levels.append(coarser(*levels[-1]))
-    labels = _coarse_start(*levels[-1])
+    labels = _coarse_start(np.asarray(levels[-1][0]), levels[-1][1])
     return _to_the_finest(levels, labels, progress, coarse=coarse, finest=finest)
 
 
 def minimize_energy_from(
-    start: Labels, data: Float32, weights: Float32, progress: Progress = silent
+    start: Labels, data: Float32 | Costs, weights: Float32, progress: Progress = silent
 ) -> Labels:
     """Find labels of low energy from those of a coarser grid.
 
@@ -98,7 +98,7 @@ def minimize_energy_from(
     -------
     (R, C) int32 ndarray
     """
-    levels = [(data, weights)]
+    levels: list[Grid] = [(data, weights)]
     while -(-levels[-1][0].shape[0] // 2) > start.shape[0]:
         levels.append(coarser(*levels[-1]))
     return _to_the_finest(levels, start, progress)
@@ -126,7 +126,7 @@ def _to_the_finest(
         report = within(progress, 0.25 ** (depth + 1), 0.25**depth)
         labels = improve(labels, *grid, everywhere=not (last and finest), progress=report)
         if not last:
-            wide = _with_wide_regions(labels, wide, *grid)
+            wide = _with_wide_regions(labels, wide, np.asarray(grid[0]), grid[1])
     progress(CHOOSING_LABELS, 1.0)
     return labels
 

@@ -22,6 +22,7 @@ from scipy.ndimage import (
 from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
+from napari_defocus.labeling.data_term import Costs
 from napari_defocus.labeling.fusions import Places, fuse
 from napari_defocus.labeling.multigrid import STEPS, coarser, finer
 from napari_defocus.labeling.pairwise_term import Blocks, color_weight, pixel_weights
@@ -41,7 +42,7 @@ _HELD = np.float32(1e6)
 
 def label_pixels(
     labels: Labels,
-    cost: Float32,
+    cost: Float32 | Costs,
     blocks: Blocks,
     color: Float32,
     *,
@@ -59,7 +60,7 @@ def label_pixels(
     ----------
     labels : (R, C) int32 ndarray
         Of the blocks.
-    cost : (R, C, L) float32 ndarray
+    cost : (R, C, L) float32 ndarray or Costs
         D at the windows; between them it is interpolated.
     blocks : Blocks
     color : (H, W, channels) float32 ndarray
@@ -96,7 +97,11 @@ def label_pixels(
             # Smaller steps are interpolated later, whichever side of them a pixel is on.
             place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
             proposal = _changed(pixels, place, proposal.ravel()[place])
-            change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            given = pixels, proposal, place, *blocks.positions
+            if isinstance(cost, Costs):
+                change = cost.change_between(*given)
+            else:
+                change = _interpolated_change(cost, *given)
             if weight is not None:
                 change *= weight.ravel()[place]
             if change_at is not None:
@@ -155,6 +160,7 @@ def cut_pixels(
     zero, one = np.zeros_like(pixels), np.ones_like(pixels)
     rise = np.zeros(pixels.shape, np.float32)
     rise.ravel()[place] = _interpolated_change(cost, zero, one, place, *blocks.positions)
+    del zero, one, place
     if weight is not None:
         rise *= weight
     squares = np.where(free, _cut_of_squares(pixels, rise, weights, free), pixels)
@@ -171,8 +177,8 @@ def _cut_of_squares(
     pixels: Labels, rise: Float32, weights: Float32, free: NDArray[np.bool_]
 ) -> Labels:
     """Return labels of squares of 2 x 2 px, spread to pixels; those that are not free hold them."""
-    held = np.where(pixels == 1, -_HELD, _HELD)
-    costs = np.stack([np.zeros_like(rise), np.where(free, rise, held)], axis=2)
+    costs = np.zeros((*rise.shape, 2), np.float32)
+    costs[..., 1] = np.where(free, rise, np.where(pixels == 1, -_HELD, _HELD))
     squares, between = coarser(costs, weights, agreed=True)
     found = _flipped(
         np.ascontiguousarray(pixels[::2, ::2]),

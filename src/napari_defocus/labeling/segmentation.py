@@ -174,4 +174,4 @@ def focus_cost(problem: LabelingProblem, threshold: float) -> Float32:
     likelihood costs at most 55.
     """
     sharp = int(np.count_nonzero(problem.own.scales <= threshold + 1e-9))
-    return problem.unit(_CURVE_WEIGHT) * least_of_both(problem.data_term, sharp)
+    return problem.unit(_CURVE_WEIGHT) * least_of_both(problem.costs, sharp)

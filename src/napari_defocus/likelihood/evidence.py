@@ -7,9 +7,11 @@ them prefers is chance.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from napari_defocus.core.compiled import compiled
 from napari_defocus.core.threads import in_bands
@@ -24,6 +26,9 @@ bumps.
 
 _NEIGHBORHOOD = 8.0
 """Standard deviation, in px, of the Gaussian that averages curves: they tell where texture is."""
+
+_TRUNCATE = 4.0
+"""Standard deviations at which that Gaussian ends."""
 
 _EVERY = 4
 """Every 4th scale is looked at for that: every 0.4 px."""
@@ -62,7 +67,38 @@ def averaged_curve(candidates: BlurCandidates, every: int = 1) -> Float32:
     """
     some = np.ascontiguousarray(candidates.curve[..., ::every])
     sigma = _NEIGHBORHOOD / candidates.stride
-    return gaussian_filter(limited_below_top(some), (sigma, sigma, 0))
+    return gaussian_filter(limited_below_top(some), (sigma, sigma, 0), truncate=_TRUNCATE)
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedCurves:
+    """`averaged_curve` of a large picture, worked out for the rows that are asked for.
+
+    Attributes
+    ----------
+    candidates : BlurCandidates
+    """
+
+    candidates: BlurCandidates
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the array: (R, C, L)."""
+        return self.candidates.curve.shape
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: slice) -> Float32:
+        """Return those of some rows, to the same bits."""
+        first, last, _ = rows.indices(len(self))
+        sigma = _NEIGHBORHOOD / self.candidates.stride
+        reach = int(_TRUNCATE * sigma + 0.5)
+        top = max(first - reach, 0)
+        seen = limited_below_top(self.candidates.curve[top : min(last + reach, len(self))])
+        seen = gaussian_filter1d(seen, sigma, axis=0, truncate=_TRUNCATE)[first - top : last - top]
+        averaged: Float32 = gaussian_filter1d(seen, sigma, axis=1, truncate=_TRUNCATE)
+        return averaged
 
 
 def informed_share(depth: Float32) -> Float32:

@@ -80,22 +80,27 @@ class GroundBeside:
         places = rows[self.row], columns[self.column], gain[self.row, self.column]
         in_bands(_add_between, len(self.row), curve, *places, self.curve)
 
-    def offered(self, total: Float32, own: Float32, scales: Float64, anything: float) -> None:
+    def best(self, own: Float32, scales: Float64) -> NDArray[np.int64]:
+        """Return the likeliest of the first scales, (P,), of what level 0 says: (R, C, K)."""
+        return (own[self.row, self.column] + log_prior(scales)).argmax(axis=1)
+
+    def offered(
+        self, total: Float32, best: NDArray[np.int64], scales: Float64, anything: float
+    ) -> None:
         """Let places have what is likelier of both, if it is.
 
         Parameters
         ----------
         total : (R, C, L) float32 ndarray
             Joined curves, 0 at their tops; changed.
-        own : (R, C, K) float32 ndarray
-            What level 0 says of the first scales.
+        best : (P,) int64 ndarray
+            The likeliest scale of level 0.
         scales : (L,) float64 ndarray
         anything : float
             px: what lies above is one class to level 0.
         """
         if not len(self.row):
             return
-        best = (own[self.row, self.column] + log_prior(scales[: own.shape[2]])).argmax(axis=1)
         least = np.maximum(anything, _RATIO * scales[best] + _STEP)
         ground = np.where(scales < least[:, None] - 1e-6, _NO, self.curve)
         ground -= ground.max(axis=1, keepdims=True)

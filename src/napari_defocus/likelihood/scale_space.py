@@ -168,12 +168,13 @@ def joined(
     total = _on_axis(before, 1, scales, finest.scales, anything)
     octaves = np.zeros(total.shape[:2], np.float32)
     closed, sharply = np.zeros_like(octaves), np.zeros_like(octaves)
-    fine, said = levels[0], before
+    fine = levels[0]
     ground = GroundBeside.of(details, at, finest.stride, len(scales))
+    own_best = ground.best(before, finest.scales)
     for number, level in enumerate(levels[1:], 1):
         little = unit * (_LITTLE_OF_FIRST if number == 1 else _LITTLE)
         own = on_own_side(level.candidates, level.picture)
-        plain = limited_below_top(own.curve)
+        plain = limited_below_top(np.asarray(own.curve))
         around = np.stack(
             _said_around(before, fine.candidates.scales, anything, 2 * little), axis=2
         )
@@ -192,8 +193,9 @@ def joined(
         ground.add(curve, *level.places(*at), _SAY * here[..., 0])
         octaves += much * _octaves(number, last=number == len(levels) - 1)
         before, fine = plain, level
+    del before, plain, curve
     total -= total.max(axis=2, keepdims=True)
-    ground.offered(total, said, scales, anything)
+    ground.offered(total, own_best, scales, anything)
     return total, ((1 + octaves) ** -2).astype(np.float32)
 
 
