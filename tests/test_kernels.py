@@ -500,7 +500,8 @@ def test_curves_are_held_against_a_map():
 def test_mean_and_variance_are_those_of_the_tempered_likelihood_nearby():
     curve = np.random.default_rng(0).normal(0, 2, (5, 40)).astype(np.float32)
     scales, scale = np.arange(40) / 10, np.array([0.0, 0.3, 1.98, 3.6, 3.9])
-    mean, variance = _around(curve, scales, scale)
+    given = curve[None], np.zeros(len(curve), np.int32), np.arange(len(curve), dtype=np.int32)
+    mean, variance = _around(given, scales, scale)
     for place, first in enumerate([0, 0, 6, 11, 11]):
         near = scales[first : first + 29]
         share = np.exp(0.8 * curve[place, first : first + 29])
@@ -621,10 +622,10 @@ def test_curves_between_windows_are_interpolated_and_added():
     keep = np.full((3, 3), 0.5, np.float32)
     gain = np.full((3, 3), 2.0, np.float32)
     keep[0, 0], gain[0, 0] = 1, 0
-    _add_level(0, 3, curve, rows, columns, keep, gain, total)
+    _add_level(0, 3, curve, 0, 4, rows, columns, keep, gain, total)
     some = np.ones((3, 7), np.float32)
     shares = np.array([1, 0, 2], np.float32)
-    _add_between(0, 3, curve, rows, columns, shares, some)
+    _add_between(0, 3, curve, 0, 4, rows, columns, shares, some)
     at_places = expected[np.arange(3), np.arange(3)]
     np.testing.assert_allclose(some, 1 + shares[:, None] * at_places, rtol=1e-5)
     expected = 0.5 + 2 * expected

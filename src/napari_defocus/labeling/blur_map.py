@@ -102,6 +102,7 @@ def labeled_blur_map(
         weight=problem.pixel_weight,
         progress=within(progress, 0.7, 0.9),
     )
+    give_back(candidates.image_shape)
     axis = candidates.scales.astype(np.float32)
     scales = axis[labels]
     if candidates.mode == "curve":

@@ -13,6 +13,8 @@ grid has the better one of both, by one more cut.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -135,6 +137,32 @@ def _of_shape(labels: Labels, shape: tuple[int, ...]) -> Labels:
     return labels if labels.shape == shape else finer(labels, *shape)
 
 
+@dataclass(frozen=True, eq=False)
+class _Allowed:
+    """Costs of which narrow labels are forbidden where it is wide, a part at a time.
+
+    Attributes
+    ----------
+    data : (R, C, L) float32 ndarray
+    is_wide : (R, C) bool ndarray
+    """
+
+    data: Float32
+    is_wide: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.data.shape
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def __getitem__(self, part: slice | tuple[slice, slice]) -> Float32:
+        allowed: Float32 = self.data[part].copy()
+        allowed[self.is_wide[part], :_FIRST_WIDE] += _FORBIDDEN
+        return allowed
+
+
 def _coarse_start(data: Float32, weights: Float32) -> Labels:
     """Find the labels of least energy among every fourth: they decide about whole regions."""
     every = np.ascontiguousarray(data[..., ::_COARSE_STEP])
@@ -154,12 +182,11 @@ def _with_wide_regions(
     is_wide = solve_exactly(least_of_both(data, _FIRST_WIDE), _PRICE * weights[HALF:]) == 0
     if wide is None and not (is_wide & (labels < _FIRST_WIDE)).any():
         return None
-    allowed = data.copy()
-    allowed[is_wide, :_FIRST_WIDE] += _FORBIDDEN
+    allowed = _Allowed(data, is_wide)
     if wide is not None:
         start = wide
     elif is_wide.size <= _COARSEST:
-        start = _coarse_start(allowed, weights)
+        start = _coarse_start(allowed[:], weights)
     else:
         start = np.where(is_wide, np.maximum(labels, _FIRST_WIDE), labels).astype(np.int32)
     return improve(start, allowed, weights, everywhere=True)

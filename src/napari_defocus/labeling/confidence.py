@@ -333,5 +333,8 @@ def at_pixels(values: Float64, candidates: BlurCandidates) -> Float32:
     height, width = candidates.image_shape
     rows = (np.arange(height) - candidates.row_centers[0]) / candidates.stride
     columns = (np.arange(width) - candidates.column_centers[0]) / candidates.stride
-    places = np.meshgrid(rows, columns, indexing="ij")
-    return map_coordinates(values.astype(np.float32), places, order=1, mode="nearest")
+    known, found = values.astype(np.float32), np.empty((height, width), np.float32)
+    for some in pieces(height):
+        places = np.meshgrid(rows[some], columns, indexing="ij")
+        map_coordinates(known, places, found[some], order=1, mode="nearest")
+    return found

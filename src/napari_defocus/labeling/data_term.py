@@ -139,14 +139,11 @@ class Costs:
     @classmethod
     def of(cls, candidates: BlurCandidates) -> Costs:
         """Return those of candidates of the mode "curve", times 1."""
-        curve: Any = candidates.curve
-        prior = log_prior(candidates.scales)
-        if not isinstance(curve, MovedCurves):
-            curve = MovedCurves(curve, *np.indices(curve.shape[:2], np.int32))
-        curve, row, column = curve.curve, curve.row, curve.column
-        top = np.empty(row.shape, np.float32)
-        in_bands(_find_tops, len(top), curve, row, column, prior, top)
-        return cls(curve, row, column, prior, top, _say(candidates), np.ones_like(top))
+        moved, prior = MovedCurves.of(candidates.curve), log_prior(candidates.scales)
+        given = moved.curve, moved.row, moved.column, prior
+        top = np.empty(moved.row.shape, np.float32)
+        in_bands(_find_tops, len(top), *given, top)
+        return cls(*given, top, _say(candidates), np.ones_like(top))
 
     def times(self, factor: Float32) -> Costs:
         """Return them with another factor."""

@@ -28,7 +28,7 @@ from napari_defocus.core.threads import in_order
 from napari_defocus.labeling.data_term import Costs
 from napari_defocus.labeling.fusions import change_of, fuse, fuse_in_place, weighted
 from napari_defocus.labeling.minimum_cuts import sink_side_of_one
-from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE
+from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, AnyCosts
 from napari_defocus.labeling.parts import Part, groups_of_parts
 
 Float32 = NDArray[np.float32]
@@ -93,7 +93,7 @@ def solve_exactly(data: Float32, weights: Float32, wide: int = WIDE) -> Labels:
 
 def improve(
     start: Labels,
-    data: Float32 | Costs,
+    data: AnyCosts,
     weights: Float32,
     *,
     everywhere: bool = False,
@@ -136,7 +136,7 @@ def improve(
 def _in_parts(
     moves: Moves,
     start: Labels,
-    data: Float32 | Costs,
+    data: AnyCosts,
     weights: Float32,
     shifted: bool,
     progress: Progress,

@@ -31,8 +31,8 @@ inside of the joined node would count as well. Chosen by the energy on ramps and
 """
 
 
-class RowsOfCosts(Protocol):
-    """Costs (R, C, L) whose rows can be taken: an array, or what works them out."""
+class AnyCosts(Protocol):
+    """Costs (R, C, L) of which parts can be taken: an array, or what works them out."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -41,7 +41,7 @@ class RowsOfCosts(Protocol):
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, rows: slice, /) -> Float32: ...
+    def __getitem__(self, part: slice | tuple[slice, slice], /) -> Float32: ...
 
 
 _PIECE = 32
@@ -54,9 +54,7 @@ def pieces(length: int) -> Iterator[slice]:
         yield slice(start, min(start + _PIECE, length))
 
 
-def coarser(
-    data: RowsOfCosts, weights: Float32, *, agreed: bool = False
-) -> tuple[Float32, Float32]:
+def coarser(data: AnyCosts, weights: Float32, *, agreed: bool = False) -> tuple[Float32, Float32]:
     """Join nodes two by two: costs add up, and so do the weights across the seams.
 
     Parameters
@@ -87,7 +85,7 @@ def coarser(
 
 def finer(labels: Labels, rows: int, columns: int) -> Labels:
     """Return labels of joined nodes for each of so many rows and columns of them."""
-    return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
+    return labels.take(np.arange(columns) // 2, 1).take(np.arange(rows) // 2, 0)
 
 
 @compiled

@@ -70,6 +70,8 @@ class LabelingProblem:
         picture = _picture_of(candidates, image, intensity_range)
         own = on_own_side(candidates, picture)
         centers = candidates.row_centers, candidates.column_centers
+        # From here on, only colours are asked for.
+        picture = replace(picture, luminance=picture.color[..., 0])
         return cls(candidates, own, picture, Blocks.around(*centers, picture.shape))
 
     @cached_property
@@ -95,10 +97,12 @@ class LabelingProblem:
         return Costs.of(self.own) if is_large else self.data_term
 
     @cached_property
-    def pixel_weight(self) -> Float32 | None:
+    def pixel_weight(self) -> NDArray[np.uint8] | None:
         """How much the data term counts at each pixel, (H, W); None if once at all."""
         sharp = self.candidates.sharp
-        return None if sharp is None else 1 + EXTRA_OF_SHARP * sharp.astype(np.float32)
+        if sharp is None:
+            return None
+        return np.where(sharp, 1 + EXTRA_OF_SHARP, 1).astype(np.uint8)
 
     @cached_property
     def block_weight(self) -> Float32:

@@ -128,8 +128,9 @@ class Estimation:
         return replace(self, psf=psf, levels=1, search=search)
 
     def prepared(self, image: ArrayLike, intensities: Intensities | None = None) -> PreparedImage:
-        """Return a picture as spectra see it; of a tile, with the intensities of its plane."""
-        return prepare_image(image, intensities or self.intensity_range, self.linearize)
+        """Return a picture as spectra see it, grey; of a tile, with its plane's intensities."""
+        picture = prepare_image(image, intensities or self.intensity_range, self.linearize)
+        return replace(picture, color=picture.luminance[..., None])
 
     def candidates(
         self,

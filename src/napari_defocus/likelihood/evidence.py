@@ -30,6 +30,9 @@ _NEIGHBORHOOD = 8.0
 _TRUNCATE = 4.0
 """Standard deviations at which that Gaussian ends."""
 
+_ROWS = 64
+"""Rows of windows that are averaged at once; for memory only."""
+
 _EVERY = 4
 """Every 4th scale is looked at for that: every 0.4 px."""
 
@@ -42,6 +45,12 @@ def limited_below_top(curve: Float32) -> Float32:
     limited = np.empty(curve.shape, np.float32)
     in_bands(_limit_rows, len(curve), curve, DEPTH, limited)
     return limited
+
+
+def limit_below_top(curve: Float32) -> Float32:
+    """Do the same in place."""
+    in_bands(_limit_rows, len(curve), curve, DEPTH, curve)
+    return curve
 
 
 @compiled
@@ -65,6 +74,12 @@ def averaged_curve(candidates: BlurCandidates, every: int = 1) -> Float32:
 
     Only at every so many scales, if `every` is above 1.
     """
+    if every == 1:
+        whole = AveragedCurves(candidates)
+        averaged = np.empty(whole.shape, np.float32)
+        for first in range(0, len(whole), _ROWS):
+            averaged[first : first + _ROWS] = whole[first : first + _ROWS]
+        return averaged
     some = np.ascontiguousarray(candidates.curve[..., ::every])
     sigma = _NEIGHBORHOOD / candidates.stride
     return gaussian_filter(limited_below_top(some), (sigma, sigma, 0), truncate=_TRUNCATE)

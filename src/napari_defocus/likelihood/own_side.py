@@ -67,6 +67,15 @@ class MovedCurves:
     row: NDArray[np.int32]
     column: NDArray[np.int32]
 
+    @classmethod
+    def of(cls, curve: Float32 | MovedCurves) -> MovedCurves:
+        """Return curves of an array, each the place's own, or what they are already."""
+        if isinstance(curve, cls):
+            return curve
+        array = np.ascontiguousarray(cast(Float32, curve))
+        row, column = np.indices(array.shape[:2], np.int32)
+        return cls(array, np.asarray(row), np.asarray(column))
+
     @property
     def shape(self) -> tuple[int, ...]:
         """That of the array."""
