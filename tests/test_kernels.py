@@ -20,7 +20,7 @@ from napari_defocus.forward.blur_operator import BlurOperator
 from napari_defocus.labeling.confidence import _compare_rows, tolerance
 from napari_defocus.labeling.continuous_refinement import _around
 from napari_defocus.labeling.continuous_refinement import _smoothness_form as _bend_form
-from napari_defocus.labeling.data_term import _limited, least_of_both
+from napari_defocus.labeling.data_term import Costs, _find_tops, _limited, least_of_both
 from napari_defocus.labeling.fusions import _flow, _fusion_graph, _push, change_of, fuse
 from napari_defocus.labeling.graph_cuts import (
     Edges,
@@ -500,7 +500,8 @@ def test_curves_are_held_against_a_map():
 def test_mean_and_variance_are_those_of_the_tempered_likelihood_nearby():
     curve = np.random.default_rng(0).normal(0, 2, (5, 40)).astype(np.float32)
     scales, scale = np.arange(40) / 10, np.array([0.0, 0.3, 1.98, 3.6, 3.9])
-    mean, variance = _around(curve, scales, scale)
+    given = curve[None], np.zeros(len(curve), np.int32), np.arange(len(curve), dtype=np.int32)
+    mean, variance = _around(given, scales, scale)
     for place, first in enumerate([0, 0, 6, 11, 11]):
         near = scales[first : first + 29]
         share = np.exp(0.8 * curve[place, first : first + 29])
@@ -538,6 +539,30 @@ def test_interpolated_change_is_bilinear():
     expected = np.choose(new, at_label) - np.choose(now, at_label)
     change = _interpolated_change(cost, now, new, place, rows, columns)
     np.testing.assert_allclose(change, expected.ravel()[place], atol=1e-6)
+
+
+def test_costs_of_a_large_picture_are_those_of_an_array_wherever_they_are_asked_for():
+    rng = np.random.default_rng(0)
+    curve = rng.normal(0, 8, (40, 4, 7)).astype(np.float32)
+    row, column = rng.integers(0, (40, 4), (40, 4, 2)).astype(np.int32).transpose(2, 0, 1).copy()
+    prior = rng.normal(0, 1, 7).astype(np.float32)
+    say, factor = rng.random((2, 40, 4), np.float32)
+    own = curve[row, column]
+    top = np.empty((40, 4), np.float32)
+    _find_tops(0, 40, curve, row, column, prior, top)
+    costs = Costs(curve, row, column, prior, top, say, factor)
+    array = _limited(own, prior, say, np.float32(15)) * factor[..., None]
+    np.testing.assert_array_equal(np.asarray(costs), array)
+    np.testing.assert_array_equal(costs[3:5, 1:3], array[3:5, 1:3])
+    np.testing.assert_array_equal(least_of_both(costs, 3), least_of_both(array, 3))
+    now, new = rng.integers(0, 7, (2, 40, 4)).astype(np.int32)
+    place = np.flatnonzero(now != new)
+    np.testing.assert_array_equal(costs.change(now, new, place), change_of(now, new, place, array))
+    now, new = rng.integers(0, 7, (2, 79, 8)).astype(np.int32)
+    places = np.arange(0, 632, 3), np.linspace(0, 39, 79), np.linspace(0, 3, 8)
+    np.testing.assert_array_equal(
+        costs.change_between(now, new, *places), _interpolated_change(array, now, new, *places)
+    )
 
 
 def test_interpolated_labels_are_bilinear_among_those_alike():
@@ -597,10 +622,10 @@ def test_curves_between_windows_are_interpolated_and_added():
     keep = np.full((3, 3), 0.5, np.float32)
     gain = np.full((3, 3), 2.0, np.float32)
     keep[0, 0], gain[0, 0] = 1, 0
-    _add_level(0, 3, curve, rows, columns, keep, gain, total)
+    _add_level(0, 3, curve, 0, 4, rows, columns, keep, gain, total)
     some = np.ones((3, 7), np.float32)
     shares = np.array([1, 0, 2], np.float32)
-    _add_between(0, 3, curve, rows, columns, shares, some)
+    _add_between(0, 3, curve, 0, 4, rows, columns, shares, some)
     at_places = expected[np.arange(3), np.arange(3)]
     np.testing.assert_allclose(some, 1 + shares[:, None] * at_places, rtol=1e-5)
     expected = 0.5 + 2 * expected

@@ -32,6 +32,7 @@ from napari_defocus.labeling import (
 )
 from napari_defocus.labeling.blur_map import labeled_blur_map
 from napari_defocus.labeling.confidence import map_confidence
+from napari_defocus.labeling.data_term import Costs, least_of_both
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.labeling.segmentation import labeled_mask
 from napari_defocus.likelihood import evidence, gabor, maxima, profile_likelihood, scale_space
@@ -85,11 +86,20 @@ def _measure_something() -> None:
     blurred = (9 * gaussian_filter(sharp, (3, 3, 0)) - 4).astype(np.float32)
     picture = np.where(np.arange(_SIDE)[:, None] < _SIDE // 2, sharp, blurred)
     how = Estimation(Disc(), stride=2)
-    prepared = how.prepared(picture)
-    candidates = how.candidates(prepared, 1e-5)
-    problem = LabelingProblem.of(candidates, prepared)
+    candidates = how.candidates(how.prepared(picture), 1e-5)
+    problem = LabelingProblem.of(candidates, picture)
     map_confidence(candidates, labeled_blur_map(problem))
     labeled_mask(problem)
+    _use_costs(Costs.of(problem.own))
+
+
+def _use_costs(costs: Costs) -> None:
+    """Do what is done with costs of a large picture alone."""
+    low = np.zeros(costs.shape[:2], np.int32)
+    some = low, low + np.int32(1), np.arange(2)
+    costs.change(*some)
+    costs.change_between(*some, *(np.arange(length, dtype=float) for length in low.shape))
+    least_of_both(costs, 1)
 
 
 @contextmanager

@@ -387,7 +387,7 @@ def start(inputs, output, workers):
     heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
     code = heeding + "from napari_defocus.cli.app import main; main()"
     command = [sys.executable, "-c", code, "batch"]
-    command += [str(inputs), "-o", str(output), "--workers", str(workers)]
+    command += [str(inputs), "-o", str(output), "--workers", str(workers), "--stride", "8"]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
@@ -406,7 +406,7 @@ def test_killed_ended_and_short_of_a_worker_the_bytes_are_the_same(
     (photographs / "cut.tif").write_bytes(stack.read_bytes()[:300])  # of which tifffile complains
     stack.rename(photographs / stack.name)
     calm, out = tmp_path / "calm", tmp_path / "out"
-    measure_batch(photographs, calm)
+    measure_batch(photographs, calm, settings=QUICK)
 
     def finished():
         return len(list(out.glob(".batch/sources/*/plane*.json")))
@@ -439,6 +439,6 @@ def test_killed_ended_and_short_of_a_worker_the_bytes_are_the_same(
         rows = list(csv.reader(table))
     assert {len(row) for row in rows} == {len(rows[0])}
 
-    measure_batch(photographs, out)
+    measure_batch(photographs, out, settings=QUICK)
     assert contents(out) == contents(calm)
     assert not list(out.rglob("*.part"))

@@ -1,11 +1,20 @@
 import numpy as np
 import pytest
 
-from napari_defocus import estimate_candidates, label_blur_map, segment_in_focus
+from napari_defocus import (
+    estimate_candidates,
+    label_blur_map,
+    segment_in_focus,
+    simulate_defocus,
+)
 from napari_defocus.core.progress import Cancelled
+from napari_defocus.labeling import confidence
+from napari_defocus.labeling import problem as problems
 from napari_defocus.labeling.blur_map import labeled_blur_map, preview_of_blur_map
+from napari_defocus.labeling.data_term import Costs
 from napari_defocus.labeling.problem import LabelingProblem, UnknownProblemError, with_problem
 from napari_defocus.labeling.segmentation import labeled_mask
+from napari_defocus.likelihood import own_side
 from napari_defocus.settings import MapSettings, MaskSettings
 
 
@@ -33,6 +42,26 @@ def test_problem_is_labelled_like_its_candidates_every_time(problem, candidates,
         found = labeled_mask(problem, MaskSettings(threshold=threshold))
         expected = segment_in_focus(candidates, picture, threshold=threshold)
         np.testing.assert_array_equal(found, expected)
+
+
+def test_large_picture_has_the_same_bits_in_less_memory(astronaut, monkeypatch):
+    sharp = np.tile(astronaut, (2, 3, 1))[:300, :440]
+    radius = np.broadcast_to(np.where(np.arange(440) < 220, 0.5, 25), (300, 440))
+    picture = simulate_defocus(sharp, radius, noise_variance=1e-5, rng=0).astype(np.float32)
+    found = []
+    for most in (own_side.AT_ONCE, 0):
+        for module in (own_side, problems, confidence):
+            monkeypatch.setattr(module, "AT_ONCE", most)
+        candidates = estimate_candidates(picture)
+        problem = LabelingProblem.of(candidates, picture)
+        blur_map, mask = labeled_blur_map(problem), labeled_mask(problem)
+        sure = confidence.confidence_and_caution(candidates, blur_map)
+        found.append((candidates.curve, blur_map, mask, *sure))
+        assert isinstance(problem.costs, Costs) == (most == 0)
+        assert isinstance(problem.own.curve, own_side.MovedCurves) == (most == 0)
+    assert found[0][1].max() > 10
+    for expected, seen in zip(*found, strict=True):
+        np.testing.assert_array_equal(seen, expected)
 
 
 def test_preview_is_near_the_result(problem):

@@ -238,7 +238,8 @@ def test_every_scheduler_has_the_same_result(picture, in_parts, cluster):
     blur_map = estimate_blur_map(image, noise_variance=NOISE, block_size=BLOCK)
     for computed in (
         blur_map.compute(scheduler="threads"),
-        blur_map.compute(scheduler="processes", num_workers=2),
+        # Each process loads every kernel; that several are at work at once, the cluster shows.
+        blur_map.compute(scheduler="processes", num_workers=1),
         blur_map.compute(scheduler=cluster),
     ):
         # Once in many runs, some pixels had another last bit.

@@ -57,10 +57,18 @@ def _nothing_kept(request, monkeypatch):
         monkeypatch.setattr(preferences, "_explicit", dict)
     if request.node.get_closest_marker("display") is None:
         return
+    from napari_defocus.widgets.forms import run_panel
     from napari_defocus.widgets.forms.image_panel import ImagePanel
     from napari_defocus.widgets.jobs.estimation import JobCache
 
     monkeypatch.setattr(ImagePanel, "cache", JobCache())
+    if "usual_pauses" not in request.fixturenames:
+        monkeypatch.setattr(run_panel, "PAUSE", 0)  # nobody watches what is drawn meanwhile
+
+
+@pytest.fixture
+def usual_pauses():
+    """For tests of what a user feels: results appear step by step, as ever."""
 
 
 @pytest.fixture(autouse=True)

@@ -58,14 +58,12 @@ class Ticking:
 
 
 @pytest.fixture
-def dock(window, qtbot):
+def dock(window, usual_pauses):
     picture = resize(retina(), (1024, 1024), anti_aliasing=True, order=1)
     window.add_image((255 * picture).astype(np.uint8), name="retina")
     widget = DefocusWidget(window)
     window.window.add_dock_widget(widget)
-    ticking = Ticking(widget.native)
-    qtbot.wait(1500)  # what the form loads meanwhile
-    return widget, ticking
+    return widget, Ticking(widget.native)
 
 
 @pytest.fixture

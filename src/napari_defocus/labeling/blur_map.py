@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import minimum_filter
 
 from napari_defocus.core.checks import check_weights
+from napari_defocus.core.memory import give_back
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.labeling.blurred_edges import less_at_blurred_edges, less_at_outline
 from napari_defocus.labeling.coarse_to_fine import minimize_energy, minimize_energy_from
 from napari_defocus.labeling.confidence import checked_map
 from napari_defocus.labeling.continuous_refinement import refine_labels
-from napari_defocus.labeling.data_term import EXTRAPOLATED
+from napari_defocus.labeling.data_term import EXTRAPOLATED, Costs
 from napari_defocus.labeling.graph_cuts import expand_until_settled
 from napari_defocus.labeling.multigrid import HALF, coarser
 from napari_defocus.labeling.pixel_refinement import (
@@ -83,13 +84,15 @@ def labeled_blur_map(
     """
     smoothness, color_sigma = settings.smoothness, settings.color_sigma
     candidates, blocks, color = problem.own, problem.blocks, problem.color
+    give_back(candidates.image_shape)
     step = "Making the map coherent"
     progress(step, 0.0)
     labels, weights = _labels_of_blocks(problem, settings, around, within(progress, 0.0, 0.7, step))
+    give_back(candidates.image_shape)
     progress("Following the picture's edges", 0.7)
     pixels = label_pixels(
         labels,
-        problem.data_term,
+        problem.costs,
         blocks,
         color,
         smoothness=smoothness / problem.unit(CURVE_WEIGHT),
@@ -99,6 +102,7 @@ def labeled_blur_map(
         weight=problem.pixel_weight,
         progress=within(progress, 0.7, 0.9),
     )
+    give_back(candidates.image_shape)
     axis = candidates.scales.astype(np.float32)
     scales = axis[labels]
     if candidates.mode == "curve":
@@ -121,20 +125,21 @@ def _labels_of_blocks(
     cost, weights = _problem_of_blocks(problem, settings, within(progress, 0.0, 0.2))
     report = within(progress, 0.2, 1.0)
     if problem.own.mode == "paper":
-        return expand_until_settled(cost, weights, report), weights
+        return expand_until_settled(np.asarray(cost), weights, report), weights
     if around is None:
         return minimize_energy(cost, weights, report), weights
+    cost = np.asarray(cost)
     around.hold(cost, _HOLD * settings.smoothness)
     return minimize_energy_from(around.labels, cost, weights, report), weights
 
 
 def _problem_of_blocks(
     problem: LabelingProblem, settings: MapSettings, progress: Progress = silent
-) -> tuple[Float32, Float32]:
+) -> tuple[Float32 | Costs, Float32]:
     """Return D of (14) for the pixels of each block, and the blocks' weights."""
     sigma = problem.sigma(settings.color_sigma)
     weights = problem.blocks.edge_weights(problem.color, sigma, settings.smoothness)
-    cost = problem.block_cost(CURVE_WEIGHT)
+    cost = problem.block_costs(CURVE_WEIGHT)
     if problem.candidates.mode == "paper":
         return cost, weights
     beyond = less_at_blurred_edges(weights, problem.squared_step, sigma)
@@ -169,7 +174,7 @@ def coarse_problem(
     data, weights = _problem_of_blocks(problem, settings)
     for _ in range(levels):
         data, weights = coarser(data, weights)
-    return data, weights
+    return np.asarray(data), weights
 
 
 def preview_of_blur_map(

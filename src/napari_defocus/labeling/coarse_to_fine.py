@@ -13,17 +13,19 @@ grid has the better one of both, by one more cut.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from napari_defocus.core.progress import Progress, silent, within
-from napari_defocus.labeling.data_term import least_of_both
+from napari_defocus.labeling.data_term import Costs, least_of_both
 from napari_defocus.labeling.graph_cuts import CHOOSING_LABELS, fuse_labels, improve, solve_exactly
 from napari_defocus.labeling.multigrid import HALF, WIDE, coarser, finer
 
 Float32 = NDArray[np.float32]
 Labels = NDArray[np.int32]
-Grid = tuple[Float32, Float32]
+Grid = tuple[Float32 | Costs, Float32]
 
 _COARSEST = 2600
 """The most nodes of the coarsest grid, which is solved exactly."""
@@ -43,7 +45,7 @@ _FORBIDDEN = np.float32(1e9)
 
 
 def minimize_energy(
-    data: Float32,
+    data: Float32 | Costs,
     weights: Float32,
     progress: Progress = silent,
     *,
@@ -54,7 +56,7 @@ def minimize_energy(
 
     Parameters
     ----------
-    data : (R, C, L) float32 ndarray
+    data : (R, C, L) float32 ndarray or Costs
         D, the cost of each label at each node.
     weights : (4, R, C) or (8, R, C) float32 ndarray
         w between a node and its neighbour at each of `STEPS`; 0 where there is none. If there are
@@ -70,15 +72,15 @@ def minimize_energy(
     -------
     (R, C) int32 ndarray
     """
-    levels = [(data, weights)]
+    levels: list[Grid] = [(data, weights)]
     while levels[-1][1][0].size > _COARSEST:
         levels.append(coarser(*levels[-1]))
-    labels = _coarse_start(*levels[-1])
+    labels = _coarse_start(np.asarray(levels[-1][0]), levels[-1][1])
     return _to_the_finest(levels, labels, progress, coarse=coarse, finest=finest)
 
 
 def minimize_energy_from(
-    start: Labels, data: Float32, weights: Float32, progress: Progress = silent
+    start: Labels, data: Float32 | Costs, weights: Float32, progress: Progress = silent
 ) -> Labels:
     """Find labels of low energy from those of a coarser grid.
 
@@ -98,7 +100,7 @@ def minimize_energy_from(
     -------
     (R, C) int32 ndarray
     """
-    levels = [(data, weights)]
+    levels: list[Grid] = [(data, weights)]
     while -(-levels[-1][0].shape[0] // 2) > start.shape[0]:
         levels.append(coarser(*levels[-1]))
     return _to_the_finest(levels, start, progress)
@@ -126,13 +128,39 @@ def _to_the_finest(
         report = within(progress, 0.25 ** (depth + 1), 0.25**depth)
         labels = improve(labels, *grid, everywhere=not (last and finest), progress=report)
         if not last:
-            wide = _with_wide_regions(labels, wide, *grid)
+            wide = _with_wide_regions(labels, wide, np.asarray(grid[0]), grid[1])
     progress(CHOOSING_LABELS, 1.0)
     return labels
 
 
 def _of_shape(labels: Labels, shape: tuple[int, ...]) -> Labels:
     return labels if labels.shape == shape else finer(labels, *shape)
+
+
+@dataclass(frozen=True, eq=False)
+class _Allowed:
+    """Costs of which narrow labels are forbidden where it is wide, a part at a time.
+
+    Attributes
+    ----------
+    data : (R, C, L) float32 ndarray
+    is_wide : (R, C) bool ndarray
+    """
+
+    data: Float32
+    is_wide: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.data.shape
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def __getitem__(self, part: slice | tuple[slice, slice]) -> Float32:
+        allowed: Float32 = self.data[part].copy()
+        allowed[self.is_wide[part], :_FIRST_WIDE] += _FORBIDDEN
+        return allowed
 
 
 def _coarse_start(data: Float32, weights: Float32) -> Labels:
@@ -154,12 +182,11 @@ def _with_wide_regions(
     is_wide = solve_exactly(least_of_both(data, _FIRST_WIDE), _PRICE * weights[HALF:]) == 0
     if wide is None and not (is_wide & (labels < _FIRST_WIDE)).any():
         return None
-    allowed = data.copy()
-    allowed[is_wide, :_FIRST_WIDE] += _FORBIDDEN
+    allowed = _Allowed(data, is_wide)
     if wide is not None:
         start = wide
     elif is_wide.size <= _COARSEST:
-        start = _coarse_start(allowed, weights)
+        start = _coarse_start(allowed[:], weights)
     else:
         start = np.where(is_wide, np.maximum(labels, _FIRST_WIDE), labels).astype(np.int32)
     return improve(start, allowed, weights, everywhere=True)

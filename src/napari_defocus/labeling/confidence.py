@@ -12,10 +12,12 @@ from napari_defocus.core.compiled import compiled
 from napari_defocus.core.image import given_array
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
+from napari_defocus.labeling.multigrid import pieces
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.likelihood.evidence import averaged_curve, informed_share
+from napari_defocus.likelihood.evidence import AveragedCurves, averaged_curve, informed_share
+from napari_defocus.likelihood.own_side import AT_ONCE
 from napari_defocus.likelihood.prior import log_prior
 from napari_defocus.settings import RestorationSettings
 
@@ -79,7 +81,7 @@ def map_confidence(candidates: BlurCandidates, blur_map: ArrayLike) -> Float32:
     """Return the probability that each value of a map is right to 0.5 px, see `confidence_map`."""
     radius = checked_map(blur_map, candidates.image_shape)
     places = _at_windows(candidates, radius)
-    probability = window_confidence(candidates, averaged_curve(candidates), *places)
+    probability = window_confidence(candidates, _averaged(candidates), *places)
     return np.clip(at_pixels(probability, candidates), 0, 1)
 
 
@@ -92,7 +94,7 @@ def confidence_and_caution(
     """Return `confidence_map` and `cautious_blur_map` for the time of one: see there."""
     radius = checked_map(blur_map, candidates.image_shape)
     at_windows, jump = _at_windows(candidates, radius)
-    curve = averaged_curve(candidates)
+    curve = _averaged(candidates)
     sure = window_confidence(candidates, curve, at_windows, jump)
     excess = np.maximum(at_windows - _safe_at_windows(candidates, curve, at_windows, sure, risk), 0)
     excess = gaussian_filter(excess, _CAUTION_SIGMA / candidates.stride)
@@ -110,10 +112,31 @@ def confidence_of_problem(
     return confidence_and_caution(problem.candidates, blur_map)
 
 
+def _averaged(candidates: BlurCandidates) -> Float32 | AveragedCurves:
+    """Return `averaged_curve`; of a large picture, worked out where it is asked for."""
+    rows, columns = candidates.curve.shape[:2]
+    is_large = rows * columns > AT_ONCE
+    return AveragedCurves(candidates) if is_large else averaged_curve(candidates)
+
+
 def _safe_at_windows(
-    candidates: BlurCandidates, curve: Float32, radius: Float64, sure: Float64, risk: float
+    candidates: BlurCandidates,
+    curve: Float32 | AveragedCurves,
+    radius: Float64,
+    sure: Float64,
+    risk: float,
 ) -> Float64:
     """Return the smallest radius that the true one is below with a probability of at most risk."""
+    some = (
+        _safe_in_rows(candidates, curve[rows], radius[rows], sure[rows], risk)
+        for rows in pieces(len(curve))
+    )
+    return np.concatenate([*some])
+
+
+def _safe_in_rows(
+    candidates: BlurCandidates, curve: Float32, radius: Float64, sure: Float64, risk: float
+) -> Float64:
     curve = curve + log_prior(candidates.scales)
     likelihood = np.exp(_TEMPER * (curve - curve.max(axis=2, keepdims=True)))
     likelihood *= _spacing(candidates)
@@ -126,7 +149,10 @@ def _safe_at_windows(
 
 
 def window_confidence(
-    candidates: BlurCandidates, curve: Float32, radius: Float64, jump: Float64
+    candidates: BlurCandidates,
+    curve: Float32 | AveragedCurves,
+    radius: Float64,
+    jump: Float64,
 ) -> Float64:
     """Return the confidence at the windows, (R, C), for the map's values and jumps there.
 
@@ -143,7 +169,10 @@ def window_confidence(
 
 
 def features_of(
-    candidates: BlurCandidates, curve: Float32, radius: Float64, jump: Float64
+    candidates: BlurCandidates,
+    curve: Float32 | AveragedCurves,
+    radius: Float64,
+    jump: Float64,
 ) -> tuple[Float64, Float64, Float64]:
     """Return what the confidence rests on; nothing in it knows the answer.
 
@@ -183,7 +212,9 @@ def features_of(
     return np.stack(features), prior, depth
 
 
-def _compared(candidates: BlurCandidates, curve: Float32, radius: Float64) -> Float32:
+def _compared(
+    candidates: BlurCandidates, curve: Float32 | AveragedCurves, radius: Float64
+) -> Float32:
     """Hold averaged curves against a map: (4, R, C).
 
     Returns
@@ -195,8 +226,12 @@ def _compared(candidates: BlurCandidates, curve: Float32, radius: Float64) -> Fl
     scales, spacing = candidates.scales.astype(np.float32), _spacing(candidates)
     near = radius.astype(np.float32), (tolerance(radius) + _ROUNDING).astype(np.float32)
     found = np.empty((4, *curve.shape[:2]), np.float32)
-    given = curve, log_prior(candidates.scales), scales, spacing, *near
-    in_bands(_compare_rows, len(curve), *given, found)
+    given = log_prior(candidates.scales), scales, spacing
+    for rows in pieces(len(curve)):
+        some = np.empty_like(found[:, rows])
+        around = (np.ascontiguousarray(values[rows]) for values in near)
+        in_bands(_compare_rows, some.shape[1], curve[rows], *given, *around, some)
+        found[:, rows] = some
     return found
 
 
@@ -298,5 +333,8 @@ def at_pixels(values: Float64, candidates: BlurCandidates) -> Float32:
     height, width = candidates.image_shape
     rows = (np.arange(height) - candidates.row_centers[0]) / candidates.stride
     columns = (np.arange(width) - candidates.column_centers[0]) / candidates.stride
-    places = np.meshgrid(rows, columns, indexing="ij")
-    return map_coordinates(values.astype(np.float32), places, order=1, mode="nearest")
+    known, found = values.astype(np.float32), np.empty((height, width), np.float32)
+    for some in pieces(height):
+        places = np.meshgrid(rows[some], columns, indexing="ij")
+        map_coordinates(known, places, found[some], order=1, mode="nearest")
+    return found

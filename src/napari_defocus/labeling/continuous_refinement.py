@@ -28,10 +28,12 @@ from napari_defocus.core.threads import in_bands, in_order
 from napari_defocus.labeling.multigrid import STEPS, Float32, Labels
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
+from napari_defocus.likelihood.own_side import MovedCurves
 from napari_defocus.settings import MapSettings
 
 Float64 = NDArray[np.floating]
 Slices = tuple[slice, slice]
+Curves = tuple[Float32, Labels, Labels]
 
 _REFERENCE_STRIDE = 4
 """px: the weights below hold for windows at this distance."""
@@ -168,10 +170,12 @@ def refine_curves(
     overlap, margin = -(-_OVERLAP // stride), -(-_MARGIN // stride)
     tiles = list(_tiles(labels.shape, own, overlap, margin))
 
+    moved = MovedCurves.of(curve)
+
     def solved(around: Slices) -> Float64:
         form = strength * _smoothness_form(labels[around], weights[:, *around], jump, spacing)
         start = LABEL_STEP * labels[around].astype(np.float64)
-        near = curve[around].reshape(start.size, -1)
+        near = moved.curve, moved.row[around].ravel(), moved.column[around].ravel()
         found = _solve(start.ravel(), near, scales, form, independent[around].ravel())
         return found.reshape(start.shape)
 
@@ -219,9 +223,11 @@ def _tile(start: int, own: slice, length: int, overlap: int, margin: int) -> tup
 
 
 def _solve(
-    scale: Float64, curve: Float32, scales: Float64, form: sparse.csc_matrix, independent: Float64
+    scale: Float64, curve: Curves, scales: Float64, form: sparse.csc_matrix, independent: Float64
 ) -> Float64:
     """Minimise by reweighted least squares, from the labels' scales: (P,).
+
+    `curve` is an array (R, C, L), and the row and the column of each place in it: (P,) each.
 
     `form` is the upper triangle of the matrix of what smoothness costs. QDLDL (Stellato et al.,
     Math. Prog. Comp. 12, 2020) factorises the first system, without any library of linear algebra,
@@ -272,10 +278,11 @@ def _conjugate_gradients(
     return scale
 
 
-def _around(curve: Float32, scales: Float64, scale: Float64) -> tuple[Float64, Float64]:
+def _around(curve: Curves, scales: Float64, scale: Float64) -> tuple[Float64, Float64]:
     """Return mean and variance of the tempered likelihood within 1.4 px of a scale: (P,) each."""
     mean, variance = np.empty(len(scale)), np.empty(len(scale))
-    in_bands(_moments_around, len(scale), curve, scales, scale, mean, variance, least=_LEAST_PLACES)
+    given = *curve, scales, scale, mean, variance
+    in_bands(_moments_around, len(scale), *given, least=_LEAST_PLACES)
     return mean, variance
 
 
@@ -284,6 +291,8 @@ def _moments_around(
     start: int,
     stop: int,
     curve: Float32,
+    row: Labels,
+    column: Labels,
     scales: Float64,
     scale: Float64,
     mean: Float64,
@@ -294,13 +303,14 @@ def _moments_around(
     for place in range(start, stop):
         middle = int(np.rint(scale[place] / LABEL_STEP))
         first = min(max(middle - reach, 0), count - 1 - 2 * reach)
-        top = curve[place, first]
+        i, j = row[place], column[place]
+        top = curve[i, j, first]
         for k in range(first, first + 2 * reach + 1):
-            top = max(top, curve[place, k])
+            top = max(top, curve[i, j, k])
         center = scales[first + reach]
         total, moment, square = 0.0, 0.0, 0.0
         for k in range(first, first + 2 * reach + 1):
-            likelihood = np.exp(_TEMPER * (curve[place, k] - top))
+            likelihood = np.exp(_TEMPER * (curve[i, j, k] - top))
             away = scales[k] - center
             total += likelihood
             moment += likelihood * away

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from napari_defocus.core.checks import Mode, check_threshold
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.confidence import window_confidence
+from napari_defocus.labeling.multigrid import pieces
 from napari_defocus.labeling.problem import LabelingProblem
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
@@ -104,7 +105,8 @@ def _sure_places(own: BlurCandidates) -> tuple[NDArray[np.int64], NDArray[np.boo
 def likeliest_scales(own: BlurCandidates) -> tuple[NDArray[np.int64], Float64]:
     """Return which scale is the likeliest around each window, and the confidence in it: (R, C)."""
     curve = averaged_curve(own)
-    scale = (curve + log_prior(own.scales)).argmax(axis=2)
+    prior = log_prior(own.scales)
+    scale = np.concatenate([(curve[rows] + prior).argmax(axis=2) for rows in pieces(len(curve))])
     radius = own.scales[scale].astype(np.float32)
     return scale, window_confidence(own, curve, radius, np.zeros_like(radius))
 

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from napari_defocus.core.compiled import compiled
 from napari_defocus.core.progress import Progress, silent, within
 from napari_defocus.core.threads import in_order
+from napari_defocus.labeling.data_term import Costs
 from napari_defocus.labeling.fusions import change_of, fuse, fuse_in_place, weighted
 from napari_defocus.labeling.minimum_cuts import sink_side_of_one
-from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE
+from napari_defocus.labeling.multigrid import HALF, STEPS, WIDE, AnyCosts
 from napari_defocus.labeling.parts import Part, groups_of_parts
 
 Float32 = NDArray[np.float32]
@@ -92,7 +93,7 @@ def solve_exactly(data: Float32, weights: Float32, wide: int = WIDE) -> Labels:
 
 def improve(
     start: Labels,
-    data: Float32,
+    data: AnyCosts,
     weights: Float32,
     *,
     everywhere: bool = False,
@@ -135,7 +136,7 @@ def improve(
 def _in_parts(
     moves: Moves,
     start: Labels,
-    data: Float32,
+    data: AnyCosts,
     weights: Float32,
     shifted: bool,
     progress: Progress,
@@ -291,10 +292,16 @@ def expand(labels: Labels, alpha: int, data: Float32, weights: Float32) -> Label
     return expanded
 
 
-def fuse_labels(labels: Labels, proposal: Labels, data: Float32, weights: Float32) -> Labels:
+def fuse_labels(
+    labels: Labels, proposal: Labels, data: Float32 | Costs, weights: Float32
+) -> Labels:
     """Return labels whose every node has the better one of two, by one cut: a fusion."""
     place = np.flatnonzero(labels != proposal)
-    return fuse(labels, proposal, place, change_of(labels, proposal, place, data), weights)
+    if isinstance(data, Costs):
+        change = data.change(labels, proposal, place)
+    else:
+        change = change_of(labels, proposal, place, data)
+    return fuse(labels, proposal, place, change, weights)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +31,30 @@ inside of the joined node would count as well. Chosen by the energy on ramps and
 """
 
 
-def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[Float32, Float32]:
+class AnyCosts(Protocol):
+    """Costs (R, C, L) of which parts can be taken: an array, or what works them out."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(R, C, L)."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice | tuple[slice, slice], /) -> Float32: ...
+
+
+_PIECE = 32
+"""Rows of a grid that are worked on at once; even."""
+
+
+def pieces(length: int) -> Iterator[slice]:
+    """Cut rows into pieces, so that what is worked out for each takes little memory."""
+    for start in range(0, length, _PIECE):
+        yield slice(start, min(start + _PIECE, length))
+
+
+def coarser(data: AnyCosts, weights: Float32, *, agreed: bool = False) -> tuple[Float32, Float32]:
     """Join nodes two by two: costs add up, and so do the weights across the seams.
 
     Parameters
@@ -46,18 +72,20 @@ def coarser(data: Float32, weights: Float32, *, agreed: bool = False) -> tuple[F
     """
     rows, columns = (-(-length // 2) for length in data.shape[:2])
     joined = np.zeros((rows, columns, data.shape[2]), np.float32)
-    price = np.full((2, *data.shape[:2]), np.inf if agreed else 0, np.float32)
-    if not agreed:
-        for half, part in enumerate((weights[:HALF], weights[-HALF:])):
-            price[half] = _RELAXATION * part.sum(axis=0)
-    in_bands(_join_costs, rows, data, price, joined)
+    for some in pieces(len(data)):
+        costs, into = data[some], joined[some.start // 2 : -(-some.stop // 2)]
+        price = np.full((2, *costs.shape[:2]), np.inf if agreed else 0, np.float32)
+        if not agreed:
+            for half, part in enumerate((weights[:HALF, some], weights[-HALF:, some])):
+                price[half] = _RELAXATION * part.sum(axis=0)
+        in_bands(_join_costs, len(into), costs, price, into)
     row_block, column_block = (np.arange(length) // 2 for length in data.shape[:2])
     return joined, _joined_weights(weights, row_block, column_block)
 
 
 def finer(labels: Labels, rows: int, columns: int) -> Labels:
     """Return labels of joined nodes for each of so many rows and columns of them."""
-    return np.ascontiguousarray(labels.repeat(2, 0).repeat(2, 1)[:rows, :columns])
+    return labels.take(np.arange(columns) // 2, 1).take(np.arange(rows) // 2, 0)
 
 
 @compiled

@@ -22,8 +22,9 @@ from scipy.ndimage import (
 from napari_defocus.core.compiled import compiled, compiled_inline
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.threads import in_bands
-from napari_defocus.labeling.fusions import Places, fuse
-from napari_defocus.labeling.multigrid import STEPS, coarser, finer
+from napari_defocus.labeling.data_term import Costs
+from napari_defocus.labeling.fusions import Places, fuse_in_place
+from napari_defocus.labeling.multigrid import STEPS, coarser, finer, pieces
 from napari_defocus.labeling.pairwise_term import Blocks, color_weight, pixel_weights
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 
@@ -41,7 +42,7 @@ _HELD = np.float32(1e6)
 
 def label_pixels(
     labels: Labels,
-    cost: Float32,
+    cost: Float32 | Costs,
     blocks: Blocks,
     color: Float32,
     *,
@@ -49,7 +50,7 @@ def label_pixels(
     color_sigma: float,
     jump: int,
     reach: int,
-    weight: Float32 | None = None,
+    weight: NDArray[np.floating | np.uint8] | None = None,
     change_at: ChangeAt | None = None,
     progress: Progress = silent,
 ) -> Labels:
@@ -59,7 +60,7 @@ def label_pixels(
     ----------
     labels : (R, C) int32 ndarray
         Of the blocks.
-    cost : (R, C, L) float32 ndarray
+    cost : (R, C, L) float32 ndarray or Costs
         D at the windows; between them it is interpolated.
     blocks : Blocks
     color : (H, W, channels) float32 ndarray
@@ -69,7 +70,7 @@ def label_pixels(
         The smallest difference of labels that counts as a discontinuity.
     reach : int
         How far, in px, a boundary may move at once.
-    weight : (H, W) float32 ndarray, optional
+    weight : (H, W) ndarray, optional
         How much D counts at each pixel; 1 by default.
     change_at : callable, optional
         Given the present labels, the offered ones and places in the flat picture, returns D of
@@ -94,15 +95,22 @@ def label_pixels(
             progress("Following the picture's edges", 1 - left / reach)
             proposal = offer(pixels, 2 * left + 1)
             # Smaller steps are interpolated later, whichever side of them a pixel is on.
-            place = np.flatnonzero(free & (np.abs(proposal - pixels) >= jump))
-            proposal = _changed(pixels, place, proposal.ravel()[place])
-            change = _interpolated_change(cost, pixels, proposal, place, *blocks.positions)
+            place = _differing(pixels, proposal, free, jump)
+            new = proposal.ravel()[place]
+            del proposal  # before there is another of its size
+            proposal = _changed(pixels, place, new)
+            given = pixels, proposal, place, *blocks.positions
+            if isinstance(cost, Costs):
+                change = cost.change_between(*given)
+            else:
+                change = _interpolated_change(cost, *given)
             if weight is not None:
                 change *= weight.ravel()[place]
             if change_at is not None:
                 own = change_at(pixels, proposal, place)
                 change = np.where(np.isnan(own), change, own)
-            pixels = fuse(pixels, proposal, place, change, weights)
+            fuse_in_place(pixels, proposal, place, change, weights)
+            del given, proposal, place, new, change  # before there are others of their size
         left //= 2
     return pixels
 
@@ -117,7 +125,7 @@ def cut_pixels(
     color_sigma: float,
     reach: int,
     fixed: Labels | None = None,
-    weight: Float32 | None = None,
+    weight: NDArray[np.floating | np.uint8] | None = None,
 ) -> Labels:
     """Return the best of two labels for each pixel near the borders between blocks.
 
@@ -132,7 +140,7 @@ def cut_pixels(
         How far, in px, a border may move: windows see what is sharp from half a side.
     fixed : (H, W) int32 ndarray, optional
         Labels that pixels must have, -1 where they are free.
-    weight : (H, W) float32 ndarray, optional
+    weight : (H, W) ndarray, optional
         How much D counts at each pixel; 1 by default.
 
     Returns
@@ -155,6 +163,7 @@ def cut_pixels(
     zero, one = np.zeros_like(pixels), np.ones_like(pixels)
     rise = np.zeros(pixels.shape, np.float32)
     rise.ravel()[place] = _interpolated_change(cost, zero, one, place, *blocks.positions)
+    del zero, one, place
     if weight is not None:
         rise *= weight
     squares = np.where(free, _cut_of_squares(pixels, rise, weights, free), pixels)
@@ -171,9 +180,10 @@ def _cut_of_squares(
     pixels: Labels, rise: Float32, weights: Float32, free: NDArray[np.bool_]
 ) -> Labels:
     """Return labels of squares of 2 x 2 px, spread to pixels; those that are not free hold them."""
-    held = np.where(pixels == 1, -_HELD, _HELD)
-    costs = np.stack([np.zeros_like(rise), np.where(free, rise, held)], axis=2)
+    costs = np.zeros((*rise.shape, 2), np.float32)
+    costs[..., 1] = np.where(free, rise, np.where(pixels == 1, -_HELD, _HELD))
     squares, between = coarser(costs, weights, agreed=True)
+    del costs
     found = _flipped(
         np.ascontiguousarray(pixels[::2, ::2]),
         squares[..., 1] - squares[..., 0],
@@ -190,11 +200,24 @@ def _any_of_squares(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _flipped(labels: Labels, rise: Float32, weights: Float32, free: NDArray[np.bool_]) -> Labels:
-    """Return the best labels, 0 or 1, where they are free: one cut; `rise` is D of 1 minus of 0."""
+    """Give what is free its best label, 0 or 1, in place: one cut; `rise` is D of 1 minus of 0."""
     place = np.flatnonzero(free)
     now = labels.ravel()[place]
     change = np.where(now == 0, 1, -1) * rise.ravel()[place].astype(np.float64)
-    return fuse(labels, _changed(labels, place, 1 - now), place, change, weights)
+    fuse_in_place(labels, _changed(labels, place, 1 - now), place, change, weights)
+    return labels
+
+
+def _differing(pixels: Labels, proposal: Labels, free: NDArray[np.bool_], jump: int) -> Places:
+    """Return where an offer differs by a jump, among what is free: places in the flat picture."""
+    columns = pixels.shape[1]
+    return np.concatenate(
+        [
+            np.flatnonzero(free[some] & (np.abs(proposal[some] - pixels[some]) >= jump))
+            + some.start * columns
+            for some in pieces(len(pixels))
+        ]
+    )
 
 
 def _changed(values: Labels, place: Places, new: Labels) -> Labels:
@@ -231,15 +254,14 @@ def energy_of_pixels(
     *,
     smoothness: float,
     color_sigma: float,
-    weight: Float32 | None = None,
+    weight: NDArray[np.floating | np.uint8] | None = None,
 ) -> float:
     """Evaluate (14) for labels of pixels; see `label_pixels` for the parameters."""
-    if weight is None:
-        weight = np.ones(pixels.shape, np.float32)
+    counts = np.ones(pixels.shape) if weight is None else weight
     sharpness = np.float32(0.5 / color_sigma**2)
     evidence, jumps = np.zeros((2, len(pixels)))
     places = blocks.positions
-    given = pixels, cost, color, weight
+    given = pixels, cost, color, counts.astype(np.float32)
     in_bands(_energy_of_rows, len(pixels), *given, *places, sharpness, evidence, jumps)
     return float(evidence.sum() + smoothness * jumps.sum())
 

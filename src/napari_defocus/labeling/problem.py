@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.blurred_edges import squared_step_of
-from napari_defocus.labeling.data_term import EXTRA_OF_SHARP, data_term
+from napari_defocus.labeling.data_term import EXTRA_OF_SHARP, Costs, data_term
 from napari_defocus.labeling.pairwise_term import Blocks
 from napari_defocus.likelihood.candidates import BlurCandidates, check_candidates
-from napari_defocus.likelihood.own_side import on_own_side
+from napari_defocus.likelihood.own_side import AT_ONCE, on_own_side
 
 Float32 = NDArray[np.float32]
 Result = TypeVar("Result")
@@ -70,6 +70,8 @@ class LabelingProblem:
         picture = _picture_of(candidates, image, intensity_range)
         own = on_own_side(candidates, picture)
         centers = candidates.row_centers, candidates.column_centers
+        # From here on, only colours are asked for.
+        picture = replace(picture, luminance=picture.color[..., 0])
         return cls(candidates, own, picture, Blocks.around(*centers, picture.shape))
 
     @cached_property
@@ -89,10 +91,18 @@ class LabelingProblem:
         return data_term(self.own)
 
     @cached_property
-    def pixel_weight(self) -> Float32 | None:
+    def costs(self) -> Float32 | Costs:
+        """The same; of a large picture, worked out where it is asked for."""
+        is_large = self.own.mode == "curve" and self.blocks.area.size > AT_ONCE
+        return Costs.of(self.own) if is_large else self.data_term
+
+    @cached_property
+    def pixel_weight(self) -> NDArray[np.uint8] | None:
         """How much the data term counts at each pixel, (H, W); None if once at all."""
         sharp = self.candidates.sharp
-        return None if sharp is None else 1 + EXTRA_OF_SHARP * sharp.astype(np.float32)
+        if sharp is None:
+            return None
+        return np.where(sharp, 1 + EXTRA_OF_SHARP, 1).astype(np.uint8)
 
     @cached_property
     def block_weight(self) -> Float32:
@@ -105,6 +115,13 @@ class LabelingProblem:
     def block_cost(self, curve_weight: np.float32) -> Float32:
         """Return `data_term` of all pixels of each block, times `unit`: (R, C, L)."""
         return self.data_term * (self.unit(curve_weight) * self.block_weight)[..., None]
+
+    def block_costs(self, curve_weight: np.float32) -> Float32 | Costs:
+        """Return the same; of a large picture, worked out where it is asked for."""
+        costs = self.costs
+        if isinstance(costs, Costs):
+            return costs.times(self.unit(curve_weight) * self.block_weight)
+        return self.block_cost(curve_weight)
 
     def unit(self, curve_weight: np.float32) -> float:
         """Return the weight of `data_term` in the energy: that, but in the mode "paper" 1."""

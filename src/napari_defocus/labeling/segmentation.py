@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from napari_defocus.core.memory import give_back
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.labeling.blurred_edges import less_at_blurred_edges
 from napari_defocus.labeling.data_term import least_of_both
@@ -99,6 +100,7 @@ def _cut(
     if preview:
         mask = blocks.spread(labels)
         return (mask if fixed is None else np.where(fixed >= 0, fixed, mask)).astype(np.uint8)
+    give_back(problem.picture.shape)
     mask = cut_pixels(
         labels,
         cost,
@@ -174,4 +176,4 @@ def focus_cost(problem: LabelingProblem, threshold: float) -> Float32:
     likelihood costs at most 55.
     """
     sharp = int(np.count_nonzero(problem.own.scales <= threshold + 1e-9))
-    return problem.unit(_CURVE_WEIGHT) * least_of_both(problem.data_term, sharp)
+    return problem.unit(_CURVE_WEIGHT) * least_of_both(problem.costs, sharp)

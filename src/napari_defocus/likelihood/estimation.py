@@ -20,6 +20,7 @@ from napari_defocus.core.checks import (
 )
 from napari_defocus.core.image import PreparedImage, prepare_image
 from napari_defocus.core.intensity import Intensities, IntensityRange
+from napari_defocus.core.memory import give_back
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.core.progress import within as within_share
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
@@ -51,6 +52,9 @@ from napari_defocus.settings import MapSettings
 Float32 = NDArray[np.float32]
 
 Search = Literal["lattice", "fixed-point"]
+
+_MAXIMA = 1 << 16
+"""Windows whose maxima are found at once; for memory only."""
 
 _LEAST_OPAQUE = 0.05
 """Share of a window that has to be known, for it to say anything. Chosen by hand."""
@@ -125,8 +129,9 @@ class Estimation:
         return replace(self, psf=psf, levels=1, search=search)
 
     def prepared(self, image: ArrayLike, intensities: Intensities | None = None) -> PreparedImage:
-        """Return a picture as spectra see it; of a tile, with the intensities of its plane."""
-        return prepare_image(image, intensities or self.intensity_range, self.linearize)
+        """Return a picture as spectra see it, grey; of a tile, with its plane's intensities."""
+        picture = prepare_image(image, intensities or self.intensity_range, self.linearize)
+        return replace(picture, color=picture.luminance[..., None])
 
     def candidates(
         self,
@@ -205,6 +210,7 @@ def _joined_candidates(
     """Return the candidates of all levels; the finest shows the picture from a place in px on."""
     finest = levels[0].candidates
     scales = joined_scales(how.psf.max_scale, how.window, len(levels))
+    give_back(finest.image_shape)
     curve, weight = joined(levels, scales, start, sharp)
     strength = strongest(levels, start)
     joint = replace(
@@ -212,15 +218,16 @@ def _joined_candidates(
     )
     if how.search is None:
         return joint
-    flat = curve.reshape(-1, len(scales))
-    radii, heights = joined_maxima(
-        flat,
-        scales,
-        largest_point(_table(finest.image_shape, how.of_level(0)), finest.scales),
-        finest.radii.reshape(len(flat), CANDIDATES),
+    flat, exact = curve.reshape(-1, len(scales)), finest.radii.reshape(-1, CANDIDATES)
+    point = largest_point(_table(finest.image_shape, how.of_level(0)), finest.scales)
+    found = [
+        joined_maxima(flat[first : first + _MAXIMA], scales, point, exact[first : first + _MAXIMA])
+        for first in range(0, len(flat), _MAXIMA)
+    ]
+    radii, heights = (
+        np.concatenate(some).reshape(finest.radii.shape) for some in zip(*found, strict=True)
     )
-    shape = finest.radii.shape
-    return replace(joint, radii=radii.reshape(shape), log_likelihoods=heights.reshape(shape))
+    return replace(joint, radii=radii, log_likelihoods=heights)
 
 
 def _cut(picture: PreparedImage, part: tuple[slice, slice]) -> PreparedImage:

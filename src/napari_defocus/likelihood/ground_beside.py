@@ -40,6 +40,9 @@ bumps have 0.38 px of error instead of 0.32 (docs/decisions.md)."""
 _RATIO, _STEP = 3.0, 1.0
 """The ground is blurred by more than 3 r + 1 px: a slope of the blur has no other side."""
 
+_AT_ONCE = 4096
+"""Places that are worked on at once; for memory only."""
+
 _NO = np.float32(-30)
 """Units of log-likelihood: what is not offered."""
 
@@ -75,33 +78,52 @@ class GroundBeside:
         row, column = np.nonzero(beside)
         return cls(row, column, beside[row, column], np.zeros((len(row), count), np.float32))
 
-    def add(self, curve: Float32, rows: Float64, columns: Float64, gain: Float32) -> None:
-        """Add a share, (R, C), of what a level says, (r, c, L), between its windows."""
-        places = rows[self.row], columns[self.column], gain[self.row, self.column]
-        in_bands(_add_between, len(self.row), curve, *places, self.curve)
+    def add(
+        self,
+        curve: Float32,
+        first: int,
+        height: int,
+        some: slice,
+        rows: Float64,
+        columns: Float64,
+        gain: Float32,
+    ) -> None:
+        """Add a share, (R, C), of what a level says between its windows, to places of some rows.
 
-    def offered(self, total: Float32, own: Float32, scales: Float64, anything: float) -> None:
+        `curve`, (r, c, L), holds its rows from the first one given on, of `height` in all.
+        """
+        of_rows = slice(*np.searchsorted(self.row, (some.start, some.stop)))
+        row, column = self.row[of_rows], self.column[of_rows]
+        places = rows[row], columns[column], gain[row, column]
+        in_bands(_add_between, len(row), curve, first, height, *places, self.curve[of_rows])
+
+    def best(self, own: Float32, scales: Float64) -> NDArray[np.int64]:
+        """Return the likeliest of the first scales, (P,), of what level 0 says: (R, C, K)."""
+        return (own[self.row, self.column] + log_prior(scales)).argmax(axis=1)
+
+    def offered(
+        self, total: Float32, best: NDArray[np.int64], scales: Float64, anything: float
+    ) -> None:
         """Let places have what is likelier of both, if it is.
 
         Parameters
         ----------
         total : (R, C, L) float32 ndarray
             Joined curves, 0 at their tops; changed.
-        own : (R, C, K) float32 ndarray
-            What level 0 says of the first scales.
+        best : (P,) int64 ndarray
+            The likeliest scale of level 0.
         scales : (L,) float64 ndarray
         anything : float
             px: what lies above is one class to level 0.
         """
-        if not len(self.row):
-            return
-        best = (own[self.row, self.column] + log_prior(scales[: own.shape[2]])).argmax(axis=1)
-        least = np.maximum(anything, _RATIO * scales[best] + _STEP)
-        ground = np.where(scales < least[:, None] - 1e-6, _NO, self.curve)
-        ground -= ground.max(axis=1, keepdims=True)
-        ground -= (_LESS_LIKELY + 2 * DEPTH * (1 - self.doubt))[:, None]
-        both = np.maximum(total[self.row, self.column], ground)
-        total[self.row, self.column] = both
+        for first in range(0, len(self.row), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            row, column = self.row[some], self.column[some]
+            least = np.maximum(anything, _RATIO * scales[best[some]] + _STEP)
+            ground = np.where(scales < least[:, None] - 1e-6, _NO, self.curve[some])
+            ground -= ground.max(axis=1, keepdims=True)
+            ground -= (_LESS_LIKELY + 2 * DEPTH * (1 - self.doubt[some]))[:, None]
+            total[row, column] = np.maximum(total[row, column], ground)
 
 
 @compiled
@@ -109,16 +131,18 @@ def _add_between(
     start: int,
     stop: int,
     curve: Float32,
+    first: int,
+    height: int,
     rows: Float64,
     columns: Float64,
     gain: Float32,
     found: Float32,
 ) -> None:
     """Add a share of what windows say at places between them, counted in windows."""
-    height, width, count = curve.shape
+    _, width, count = curve.shape
     for place in range(start, stop):
         top, bottom, down = neighbors(rows[place], height)
         left, right, along = neighbors(columns[place], width)
         for k in range(count):
-            said = of_four(curve, top, bottom, left, right, down, along, k)
+            said = of_four(curve, top - first, bottom - first, left, right, down, along, k)
             found[place, k] += gain[place] * said

@@ -11,7 +11,8 @@ and the place takes the moved window's evidence.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +45,57 @@ _MOSTLY = 0.5
 _LEAST_ENERGY = 1e-12
 """Added to the energy of fine details, so that its logarithm is defined."""
 
+AT_ONCE = 100_000
+"""Of more windows (1.6 megapixels), no second array of curves is made: it is as large as all else.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class MovedCurves:
+    """Curves of which some are those of other windows, read where they are asked for.
+
+    They are indexed as the array is that they stand for, (R, C, L).
+
+    Attributes
+    ----------
+    curve : (R, C, L) float32 ndarray
+    row, column : (R, C) int32 ndarray
+        Of the window that each place takes.
+    """
+
+    curve: Float32
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, curve: Float32 | MovedCurves) -> MovedCurves:
+        """Return curves of an array, each the place's own, or what they are already."""
+        if isinstance(curve, cls):
+            return curve
+        array = np.ascontiguousarray(cast(Float32, curve))
+        row, column = np.indices(array.shape[:2], np.int32)
+        return cls(array, np.asarray(row), np.asarray(column))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the array."""
+        return self.curve.shape
+
+    def __getitem__(self, index: Any) -> Float32:
+        """Return a part, which is an array of its own."""
+        if isinstance(index, tuple) and index[0] is Ellipsis:
+            return np.ascontiguousarray(self.curve[self.row, self.column, index[1]])
+        return np.ascontiguousarray(self.curve[self.row[index], self.column[index]])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Float32:
+        """Return all of them."""
+        return np.asarray(self[..., :], dtype)
+
 
 def on_own_side(candidates: BlurCandidates, picture: PreparedImage) -> BlurCandidates:
     """Replace the curves of windows that are sharp only because of what lies beside them.
+
+    Of a large picture, the curves are `MovedCurves`.
 
     Parameters
     ----------
@@ -60,6 +109,9 @@ def on_own_side(candidates: BlurCandidates, picture: PreparedImage) -> BlurCandi
     moved = (row != rows) | (column != columns)
     if not moved.any():
         return candidates
+    if moved.size > AT_ONCE:
+        lazy = MovedCurves(candidates.curve, row.astype(np.int32), column.astype(np.int32))
+        return replace(candidates, curve=cast(Float32, lazy))
     own = candidates.curve.copy()
     own[moved] = candidates.curve[row[moved], column[moved]]
     return replace(candidates, curve=own)

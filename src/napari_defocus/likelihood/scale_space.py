@@ -27,6 +27,7 @@ Levels do not say the same, and not all that they say is true:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +40,7 @@ from napari_defocus.core.threads import in_bands
 from napari_defocus.likelihood.between_windows import between, neighbors, of_four
 from napari_defocus.likelihood.blur_spectra import LABEL_STEP
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.likelihood.evidence import evidence_share, limited_below_top
+from napari_defocus.likelihood.evidence import evidence_share, limit_below_top, limited_below_top
 from napari_defocus.likelihood.exact_spectra import domain_of_window
 from napari_defocus.likelihood.ground_beside import GroundBeside
 from napari_defocus.likelihood.own_side import on_own_side
@@ -82,6 +83,9 @@ window's own weights if they lie 4 px apart."""
 _BESIDE, _FEW, _MANY = 3.0, np.float32(0.05), np.float32(0.2)
 """px of a level, over which the share of what is hidden is averaged; up to and from which share the
 level has all of its say, and none."""
+
+_PIECE = 32
+"""Rows of a level's windows whose curves are joined at once; for memory only."""
 
 _MARGIN = 96
 """px of a level that a place sees at most: half a window, half a window that windows move, what
@@ -145,7 +149,8 @@ def joined(
     Parameters
     ----------
     levels : list of Level
-        From the finest on; the finest may show a part of what the others show.
+        From the finest on; the finest may show a part of what the others show. Its curves are
+        limited in place.
     scales : (L,) float64 ndarray
         Of the joined curve, see `joined_scales`.
     start : (int, int)
@@ -162,18 +167,19 @@ def joined(
     """
     finest = levels[0].candidates
     at = finest.row_centers + start[0], finest.column_centers + start[1]
-    before = limited_below_top(finest.curve)
+    before = limit_below_top(finest.curve)
     unit = domain_of_window(finest.window) / 8
     anything = unit * _ANYTHING
     total = _on_axis(before, 1, scales, finest.scales, anything)
     octaves = np.zeros(total.shape[:2], np.float32)
     closed, sharply = np.zeros_like(octaves), np.zeros_like(octaves)
-    fine, said = levels[0], before
+    fine = levels[0]
     ground = GroundBeside.of(details, at, finest.stride, len(scales))
+    own_best = ground.best(before, finest.scales)
     for number, level in enumerate(levels[1:], 1):
         little = unit * (_LITTLE_OF_FIRST if number == 1 else _LITTLE)
         own = on_own_side(level.candidates, level.picture)
-        plain = limited_below_top(own.curve)
+        plain = limited_below_top(np.asarray(own.curve))
         around = np.stack(
             _said_around(before, fine.candidates.scales, anything, 2 * little), axis=2
         )
@@ -187,14 +193,33 @@ def joined(
         spilled = here[..., 1] * np.minimum(_SURELY_MUCH * around[..., 1], 1)
         gain = _SAY * here[..., 0] * free * (1 - spilled)
         keep = 1 - much * _share_below(total, scales, anything * level.side / 2)
-        curve = _on_axis(plain, level.side, scales, level.candidates.scales, anything, little)
-        in_bands(_add_level, len(total), curve, *level.places(*at), keep, gain, total)
-        ground.add(curve, *level.places(*at), _SAY * here[..., 0])
+        rows, columns = level.places(*at)
+        for some in _pieces(len(total), level.side):
+            seen = _rows_between(rows[some], len(plain))
+            own_axis = level.candidates.scales
+            curve = _on_axis(plain[seen], level.side, scales, own_axis, anything, little)
+            part = curve, seen.start, len(plain)
+            given = rows[some], columns, keep[some], gain[some], total[some]
+            in_bands(_add_level, len(total[some]), *part, *given)
+            ground.add(*part, some, rows, columns, _SAY * here[..., 0])
         octaves += much * _octaves(number, last=number == len(levels) - 1)
         before, fine = plain, level
+    del before, plain, curve
     total -= total.max(axis=2, keepdims=True)
-    ground.offered(total, said, scales, anything)
+    ground.offered(total, own_best, scales, anything)
     return total, ((1 + octaves) ** -2).astype(np.float32)
+
+
+def _pieces(length: int, side: int) -> Iterator[slice]:
+    """Cut rows of windows into pieces, for which a level has about as many rows each."""
+    for start in range(0, length, _PIECE * side):
+        yield slice(start, min(start + _PIECE * side, length))
+
+
+def _rows_between(rows: Float64, height: int) -> slice:
+    """Return the rows of windows that places at some rows lie between."""
+    last = max(height - 2, 0)
+    return slice(min(int(rows[0]), last), min(min(int(rows[-1]), last) + 2, height))
 
 
 def _said_here(level: Level, own: BlurCandidates, plain: Float32, little: float) -> Float32:
@@ -342,14 +367,19 @@ def _add_level(
     start: int,
     stop: int,
     curve: Float32,
+    first: int,
+    height: int,
     rows: Float64,
     columns: Float64,
     keep: Float32,
     gain: Float32,
     total: Float32,
 ) -> None:
-    """Multiply curves by a share of their own, and add a share of a coarser level's, between."""
-    height, width, count = curve.shape
+    """Multiply curves by a share of their own, and add a share of a coarser level's, between.
+
+    `curve` holds rows of that level from the first one given on, of `height` in all.
+    """
+    _, width, count = curve.shape
     for i in range(start, stop):
         top, bottom, down = neighbors(rows[i], height)
         for j in range(len(columns)):
@@ -358,5 +388,5 @@ def _add_level(
             if gained == 0 and kept == 1:
                 continue
             for k in range(count):
-                said = of_four(curve, top, bottom, left, right, down, along, k)
+                said = of_four(curve, top - first, bottom - first, left, right, down, along, k)
                 total[i, j, k] = kept * total[i, j, k] + gained * said

@@ -12,7 +12,6 @@ import napari_defocus
 from napari_defocus import segment_in_focus, simulate_defocus
 from napari_defocus.widgets.docks.defocus import DefocusWidget
 from napari_defocus.widgets.forms.image_panel import ImagePanel
-from napari_defocus.widgets.forms.run_panel import PAUSE
 from napari_defocus.widgets.jobs import estimation
 
 pytestmark = pytest.mark.display
@@ -25,7 +24,7 @@ def settled(qtbot):
         qtbot.waitUntil(lambda: not widget._live_labels.is_busy)
         for _ in range(5):
             # Each lets at least one more layer be shown, however late its timer comes.
-            qtbot.wait(PAUSE + 5)
+            qtbot.wait(5)
 
     return wait
 
