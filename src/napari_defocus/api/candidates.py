@@ -19,10 +19,11 @@ from napari_defocus.core.checks import (
 )
 from napari_defocus.core.progress import Progress, silent
 from napari_defocus.likelihood.candidates import BlurCandidates
-from napari_defocus.likelihood.estimation import Estimation, Search, check_search
+from napari_defocus.likelihood.estimation import Estimation, check_search
 from napari_defocus.likelihood.local_noise import LocalNoise
 from napari_defocus.likelihood.psf_choice import choose_psf, is_to_choose
 from napari_defocus.likelihood.shot_noise import ShotNoise
+from napari_defocus.likelihood.window_analysis import Search
 from napari_defocus.psf import AUTO
 from napari_defocus.psf.families import AutomaticPSF, Disc, PSFFamily
 from napari_defocus.settings import BLOCK_SIZE, MapSettings

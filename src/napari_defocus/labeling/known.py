@@ -47,8 +47,8 @@ def mask_remarks(
         yield "The blur is not known anywhere, so the mask says nothing."
     elif unknown == "fill" and known < _MOSTLY_KNOWN:
         yield (
-            f"The blur is not known on {100 * (1 - known):.0f} % of the picture: the mask is filled "
-            "there from around, unless you leave what is unknown."
+            f"The blur is not known on {100 * (1 - known):.0f} % of the picture: the mask is "
+            "filled there from around, unless you leave what is unknown."
         )
     blurred = threshold_found is not None and threshold_found >= _CLEAR_THRESHOLD
     if blurred and in_focus is not None and in_focus >= _ALL_IN_FOCUS:

@@ -14,6 +14,7 @@ from napari_defocus.core.checks import (
 )
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
+from napari_defocus.likelihood.border_windows import BorderWindows
 from napari_defocus.likelihood.gabor import padding
 from napari_defocus.likelihood.psf_choice import PSFChoice
 from napari_defocus.likelihood.shot_noise import ShotNoise
@@ -87,6 +88,9 @@ class BlurCandidates:
     noise_growth : float
         By how much the noise variance is larger in the corners, as a share of that in the centre;
         0 if it does not grow outwards. See `estimate_noise_variance`.
+    over_border : (R, C) bool ndarray or None
+        Whether the window of each place reaches over the border; else it was moved inside. See
+        `border_windows`. None if all were.
     """
 
     radii: Float32
@@ -109,6 +113,7 @@ class BlurCandidates:
     direction: Float32 | None = None
     sharp: NDArray[np.bool_] | None = None
     noise_growth: float = 0.0
+    over_border: NDArray[np.bool_] | None = None
 
     @property
     def doubt(self) -> str | None:
@@ -183,8 +188,9 @@ class BlurCandidates:
     def window_at(self, row: float, column: float) -> tuple[float, float, float, float]:
         """Return the part of the picture that the curve of one pixel comes from.
 
-        Windows that would reach over the border are moved inside. What counts in a window is
-        weighted by a Gaussian with a standard deviation of a quarter of its side.
+        Windows that would reach over the border are moved inside, but for those of `over_border`.
+        What counts in a window is weighted by a Gaussian with a standard deviation of a quarter of
+        its side.
 
         Parameters
         ----------
@@ -210,20 +216,32 @@ class BlurCandidates:
         >>> estimate_candidates(picture, stride=1).window_at(60, 0)
         (39.5, -0.5, 80.5, 40.5)
         """
-        grid = AnalysisGrid.over(self.image_shape, self.window, self.stride)
         edges = []
-        for at, centers, window, length in zip(
-            self.nearest_window(row, column),
-            (grid.rows, grid.columns),
-            (grid.row_of_window, grid.column_of_window),
-            self.image_shape,
-            strict=True,
+        for center, length in zip(
+            self._center_of(self.nearest_window(row, column)), self.image_shape, strict=True
         ):
-            center = centers[window[at]] - padding(length, self.window)
             reach = np.array([-self.window, self.window]) / 2
             edges.append(np.clip(center + reach, -0.5, length - 0.5))
         (top, bottom), (left, right) = edges
         return float(top), float(left), float(bottom), float(right)
+
+    def _center_of(self, place: tuple[int, int]) -> tuple[float, float]:
+        """Return the centre of the window that a place has its curve from, in px."""
+        border = BorderWindows.over(self.image_shape, self.window, self.stride)
+        if border is not None and self.over_border is not None and self.over_border[place]:
+            return border.center_of(*place)
+        grid = AnalysisGrid.over(self.image_shape, self.window, self.stride)
+        row, column = (
+            float(centers[window[at]] - padding(length, self.window))
+            for at, centers, window, length in zip(
+                place,
+                (grid.rows, grid.columns),
+                (grid.row_of_window, grid.column_of_window),
+                self.image_shape,
+                strict=True,
+            )
+        )
+        return row, column
 
 
 def check_candidates(candidates: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,16 +26,12 @@ from napari_defocus.core.progress import within as within_share
 from napari_defocus.likelihood.analysis_grid import AnalysisGrid
 from napari_defocus.likelihood.averaged_pixels import halved_without, level_count, noise_share
 from napari_defocus.likelihood.blur_spectra import SpectrumTable, label_scales, spectrum_table
+from napari_defocus.likelihood.border_windows import BorderWindows
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.likelihood.exact_spectra import check_side, domain_of_window, within_window
-from napari_defocus.likelihood.gabor import gradients, local_power, window_centers
+from napari_defocus.likelihood.gabor import Gradients, gradients, local_power, window_centers
 from napari_defocus.likelihood.local_noise import LocalNoise
-from napari_defocus.likelihood.maxima import CANDIDATES, joined_maxima, largest_point, local_maxima
-from napari_defocus.likelihood.profile_likelihood import (
-    profile_log_likelihood,
-    quasi_log_likelihood,
-)
-from napari_defocus.likelihood.reference import fixed_point_maxima
+from napari_defocus.likelihood.maxima import CANDIDATES, joined_maxima, largest_point
 from napari_defocus.likelihood.scale_space import (
     Level,
     joined,
@@ -44,20 +40,15 @@ from napari_defocus.likelihood.scale_space import (
 )
 from napari_defocus.likelihood.sharp_details import SharpDetails
 from napari_defocus.likelihood.shot_noise import ShotNoise
-from napari_defocus.likelihood.signs import signs_of
+from napari_defocus.likelihood.window_analysis import Said, Search, WindowAnalysis
 from napari_defocus.psf.domain import growth_of_details, limited, seen_with_pixels, softness_beside
 from napari_defocus.psf.families import PSFFamily, as_family
 from napari_defocus.settings import MapSettings
 
 Float32 = NDArray[np.float32]
 
-Search = Literal["lattice", "fixed-point"]
-
 _MAXIMA = 1 << 16
 """Windows whose maxima are found at once; for memory only."""
-
-_LEAST_OPAQUE = 0.05
-"""Share of a window that has to be known, for it to say anything. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +152,7 @@ def candidates_of(
     start = (0, 0) if within is None else (within[0].start, within[1].start)
     of_part = noise.seen_from(*start)
     if how.levels == 1:
-        found = _of_one_level(part, how.of_level(0), of_part, progress)
+        found = _of_one_level(part, how.of_level(0), of_part, progress, finest=True)
         if how.mode == "paper":
             return found
         return replace(found, sharp=_sharp_details(part, how, of_part).inside)
@@ -187,7 +178,7 @@ def _levels_of(
         report = within_share(progress, *shares[level : level + 2] / shares[-1])
         seen, own = part if level == 0 else (picture, noise)
         reduced = own.reduced(noise_share(level))
-        found = _of_one_level(seen, how.of_level(level), reduced, report)
+        found = _of_one_level(seen, how.of_level(level), reduced, report, finest=level == 0)
         levels.append(Level(seen, found, 2**level, hidden))
         if level + 1 < count:
             # Not less than at level 0: a camera's noise is not white.
@@ -244,78 +235,76 @@ def _of_one_level(
     how: Estimation,
     noise: LocalNoise,
     progress: Progress,
+    *,
+    finest: bool,
 ) -> BlurCandidates:
     """Return the candidates of one level: Gabor powers, likelihood curves, their maxima."""
-    psf, window, stride, mode = how.psf, how.window, how.stride, how.mode
+    window, stride = how.window, how.stride
     gradient = gradients(picture.evened, picture.opaque, window, picture.weight)
     grid = AnalysisGrid.over(picture.shape, window, stride)
-    plain = mode == "paper"
-    table = _table(picture.shape, how)
     opaque = _opaque_share(picture, grid, gradient.pad, window)
     noisier = noise.relative_to_windows(picture, grid, gradient.pad, window)
-    seen = np.float32(_share_seen(picture.shape, window))
-    scales = label_scales(psf)
-    shape = (len(grid.row_of_window), len(grid.column_of_window))
-    radii = np.empty((*shape, CANDIDATES), np.float32)
-    log_likelihoods = np.empty((*shape, CANDIDATES), np.float32)
-    curve = np.empty((*shape, len(scales)), np.float32)
-    signs = np.empty((*shape, 3), np.float32)
     least_noise = max(noise.variance, picture.rounding_variance) / picture.intensities.unit**2
+    scales = label_scales(how.psf)
+    table = _table(picture.shape, how)
+    seen = _share_seen(picture.shape, window)
+    analysis = WindowAnalysis(table, scales, least_noise, window, how.mode, how.search, seen)
+    found = Said.nothing((len(grid.row_of_window), len(grid.column_of_window)), len(scales))
     for block in grid.blocks():
         progress("Estimating blur", 0.1 + 0.9 * block.start / len(grid.rows))
         power = local_power(gradient, grid.rows[block], grid.columns, window)
-        if opaque is not None:
-            power /= np.maximum(opaque[block], _LEAST_OPAQUE)[..., None, None]
-        if noisier is not None:
-            power /= noisier[block][..., None, None]
-        points = power.reshape(-1, *table.noise.shape)
-        if plain:
-            block_curve = profile_log_likelihood(points, table, scales, least_noise)
-            dispersion = np.ones(points.shape[:2], np.float32)
-        else:
-            block_curve, dispersion = quasi_log_likelihood(points, table, scales, least_noise)
-        if how.search == "lattice":
-            block_radii, block_heights = local_maxima(
-                points, block_curve, table, scales, least_noise, dispersion
-            )
-        elif how.search == "fixed-point":
-            block_radii, block_heights = fixed_point_maxima(points, table, least_noise, dispersion)
-        else:
-            block_radii = np.full((len(points), CANDIDATES), np.nan, np.float32)
-            block_heights = np.full_like(block_radii, -np.inf)
-        block_signs = signs_of(points, table, least_noise, window)
-        if seen < 1 and not plain:
-            block_curve *= seen
-            block_heights *= seen
-        if opaque is not None:
-            _silence_transparent(opaque[block].ravel(), block_radii, block_heights, block_curve)
-        for result, values in (
-            (radii, block_radii),
-            (log_likelihoods, block_heights),
-            (curve, block_curve),
-            (signs, block_signs),
-        ):
+        shares = (None if all_of is None else all_of[block] for all_of in (opaque, noisier))
+        said = analysis.said(power, *shares)
+        for result, values in zip(found.arrays(), said.arrays(), strict=True):
             grid.spread(block, values, result)
+    over_border = None
+    if finest and how.mode != "paper":
+        over_border = _over_border(picture, noise, gradient, analysis, stride, found)
     progress("Estimating blur", 1.0)
     return BlurCandidates(
-        radii,
-        log_likelihoods,
-        curve,
+        found.radii,
+        found.log_likelihoods,
+        found.curve,
         scales,
         window_centers(picture.shape[0], stride),
         window_centers(picture.shape[1], stride),
         picture.shape,
-        psf,
+        how.psf,
         noise.variance,
         window,
         stride,
-        mode,
+        how.mode,
         noise.shot_noise,
         picture.intensities.above_noise(noise.variance),
-        strength=signs[..., 0].copy(),
-        direction=signs[..., 1:].copy(),
+        strength=found.signs[..., 0].copy(),
+        direction=found.signs[..., 1:].copy(),
         noise_growth=noise.growth,
+        over_border=over_border,
     )
+
+
+def _over_border(
+    picture: PreparedImage,
+    noise: LocalNoise,
+    gradient: Gradients,
+    analysis: WindowAnalysis,
+    stride: int,
+    found: Said,
+) -> NDArray[np.bool_] | None:
+    """Let places near the border have what windows over it say, and return which: (R, C)."""
+    border = BorderWindows.over(picture.shape, analysis.window, stride)
+    if border is None:
+        return None
+    grid = border.grid()
+    opaque = _opaque_share(picture, grid, gradient.pad, analysis.window)
+    noisier = noise.relative_to_windows(picture, grid, gradient.pad, analysis.window)
+
+    def says(power: Float32, places: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Said:
+        of_places = np.ix_(*places)
+        shares = (None if all_of is None else all_of[of_places] for all_of in (opaque, noisier))
+        return analysis.said(power, *shares)
+
+    return border.take_over(found, analysis.scales, gradient, says)
 
 
 def _table(shape: tuple[int, int], how: Estimation) -> SpectrumTable:
@@ -350,17 +339,3 @@ def _opaque_share(
 def _share_seen(shape: tuple[int, int], window: int) -> float:
     """Return the share of a window that a picture fills; the rest mirrors it, and tells no more."""
     return math.prod(min(1.0, length / window) for length in shape)
-
-
-def _silence_transparent(
-    opaque: Float32, radii: Float32, log_likelihoods: Float32, curve: Float32
-) -> None:
-    """Let windows speak in proportion to their opaque share, and the transparent ones not."""
-    curve *= opaque[..., None]
-    transparent = opaque < _LEAST_OPAQUE
-    curve[transparent] = 0
-    radii[transparent] = np.nan
-    present = np.isfinite(radii)
-    share = np.broadcast_to(opaque[..., None], radii.shape)
-    log_likelihoods[present] *= share[present]
-    log_likelihoods[~present] = -np.inf

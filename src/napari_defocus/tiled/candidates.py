@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from napari_defocus.core.intensity import Intensities
 from napari_defocus.core.progress import Progress, silent
-from napari_defocus.likelihood.estimation import Estimation, Search
+from napari_defocus.likelihood.estimation import Estimation
 from napari_defocus.likelihood.maxima import CANDIDATES
 from napari_defocus.likelihood.psf_choice import PSFChoice
 from napari_defocus.likelihood.scale_space import joined_scales
 from napari_defocus.likelihood.shot_noise import ShotNoise
+from napari_defocus.likelihood.window_analysis import Search
 from napari_defocus.psf import AUTO
 from napari_defocus.psf.families import PSFFamily
 from napari_defocus.settings import THRESHOLD_PLANES, RestorationSettings
