@@ -116,7 +116,7 @@ def test_segment_writes_a_mask_and_an_overlay(picture):
     assert mask.shape == (80, 96)
     assert set(np.unique(mask)) <= {0, 255}
     assert overlay.shape == (80, 96, 3)
-    assert "in focus     not known anywhere" in result.stdout, "it is a plain piece"
+    assert "careful      The blur is not known on 99 %" in result.stdout, "it is a plain piece"
 
 
 def test_segment_leaves_what_is_not_known_and_judges_within_a_file_if_asked(picture):
