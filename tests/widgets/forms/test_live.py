@@ -45,7 +45,7 @@ def test_threshold_changes_the_mask_alone(viewer, measured, settled, method):
     settled(measured)
     assert viewer.layers["leaf in focus"].data.min() == 1
     assert measured.status.value.startswith("Blur: median 2.5 px")
-    assert "In focus: 100% of the picture (blur up to 3 px)" in measured.status.value
+    assert "In focus: 100% of what is known (blur up to 3 px)" in measured.status.value
     assert [call["threshold"] for call in method.segmentations] == [2.0, 3.0]
     assert len(method.labelings) == len(method.estimations) == 1
 
