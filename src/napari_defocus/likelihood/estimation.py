@@ -302,7 +302,7 @@ def _over_border(
     def says(power: Float32, places: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Said:
         of_places = np.ix_(*places)
         shares = (None if all_of is None else all_of[of_places] for all_of in (opaque, noisier))
-        return analysis.said(power, *shares)
+        return analysis.said(power, *shares, with_signs=False)
 
     return border.take_over(found, analysis.scales, gradient, says)
 

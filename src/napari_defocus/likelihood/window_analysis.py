@@ -82,7 +82,14 @@ class WindowAnalysis:
     search: Search | None
     seen: float = 1.0
 
-    def said(self, power: Float32, opaque: Float32 | None, noisier: Float32 | None) -> Said:
+    def said(
+        self,
+        power: Float32,
+        opaque: Float32 | None,
+        noisier: Float32 | None,
+        *,
+        with_signs: bool = True,
+    ) -> Said:
         """Return what P windows say, one after the other.
 
         Parameters
@@ -91,6 +98,8 @@ class WindowAnalysis:
             Of windows in r rows and c columns; changed.
         opaque, noisier : (r, c) float32 ndarray or None
             The share of each window that is known, and how many times noisier it is.
+        with_signs : bool, optional
+            Whether signs are asked for; else they are 0.
         """
         if opaque is not None:
             power /= np.maximum(opaque, _LEAST_OPAQUE)[..., None, None]
@@ -104,7 +113,9 @@ class WindowAnalysis:
         else:
             curve, dispersion = quasi_log_likelihood(*given)
         radii, heights = self._maxima(points, curve, dispersion)
-        signs = signs_of(points, self.table, self.least_noise, self.window)
+        signs = np.zeros((len(points), 3), np.float32)
+        if with_signs:
+            signs = signs_of(points, self.table, self.least_noise, self.window)
         if self.seen < 1 and self.mode != "paper":
             curve *= np.float32(self.seen)
             heights *= np.float32(self.seen)
