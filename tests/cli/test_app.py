@@ -137,7 +137,7 @@ def test_segment_leaves_what_is_not_known_and_judges_within_a_file_if_asked(pict
     assert facts["threshold_found"]
     assert 1 <= facts["threshold_px"] <= 3.5
     told = run("segment", picture, *asked[:-1], "--force").stdout
-    assert f"% of what is known ({100 * known.mean():.1f} % of the picture), blur up to" in told
+    assert f"% of what is known ({100 * known.mean():.1f} % of the picture); blur up to" in told
     assert "px, found from the picture" in told
 
 
@@ -589,8 +589,9 @@ def test_picture_that_can_tell_little_is_not_measured_without_a_word(
 
 def test_what_counts_as_in_focus_is_said_with_the_share(picture, instant):
     result = run("segment", picture, "--threshold", 1.5)
-    of_known = r"in focus     \d+\.\d % of what is known \(\d+\.\d % of the picture\)"
-    assert re.search(rf"^{of_known}, blur up to 1\.5 px$", result.stdout, re.M)
+    of_known = r"\d+\.\d % of what is known \(\d+\.\d % of the picture\)"
+    saying = rf"^in focus     100\.0 % of the mask, {of_known}; blur up to 1\.5 px$"
+    assert re.search(saying, result.stdout, re.M)
 
 
 def test_compare_psf_has_a_list_of_its_own(seen_through_a_mirror_lens):

@@ -44,6 +44,7 @@ from napari_defocus.io.open import Source, open_source
 from napari_defocus.io.provenance import ALL_IN_FOCUS, signature
 from napari_defocus.io.settings_file import Settings
 from napari_defocus.labeling.focus_threshold import threshold_in_px
+from napari_defocus.labeling.known import mask_remarks
 from napari_defocus.likelihood.candidates import BlurCandidates
 from napari_defocus.pipeline import (
     Measurement,
@@ -55,6 +56,7 @@ from napari_defocus.pipeline import (
     threshold_of_stack,
     used,
 )
+from napari_defocus.psf import AUTO
 from napari_defocus.restoration.all_in_focus import Restoration, RestorationFit
 from napari_defocus.settings import BLOCK_SIZE, CONFIDENT, UNKNOWN, MapSettings, MaskSettings
 
@@ -267,10 +269,25 @@ def measure_plane(task: PlaneTask) -> Row:
         if LEFT in made:
             row[LEFT] = float(made[LEFT].mean())
         row |= task.results | signs_of_picture(picture, found, within, row)
+        if "mask" in made:
+            _remark_on_mask(row, plan, shaping)
         write_note(task.row_path, row)
     except Exception as error:
         return failed(task.known, reason(error))
     return row
+
+
+def _remark_on_mask(row: Row, plan: BatchPlan, shaping: MaskSettings) -> None:
+    """Let the column `careful` say why the mask says less than it seems to."""
+    found = threshold_in_px(shaping) if plan.settings.mask.threshold == AUTO else None
+    sure = row["share_sure"] or 0.0
+    remarks = mask_remarks(
+        row["share_in_mask"] if sure else None,
+        sure,
+        unknown=shaping.unknown,
+        threshold_found=found,
+    )
+    row["careful"] = " ".join(filter(None, [row["careful"], *remarks])) or None
 
 
 def failed(known: Row, error: str) -> Row:

@@ -78,7 +78,7 @@ class PixelCounts:
 
     Radii are rounded to 0.01 px and confidences to 0.001. Pixels with a confidence of 0.5 or more
     are `sure`, and have `known_radii`. Of these, so many are in focus by the map. A mask says of so
-    many of them whether they are in focus (`judged`), and that so many are (`in_mask`).
+    many pixels whether they are in focus (`judged`), and that so many are (`in_mask`).
     """
 
     radii: NDArray[np.int64]
@@ -137,7 +137,7 @@ def count_pixels(
 
     What is not finite, or has no confidence, such as where a picture is transparent, does not
     count, nor does what is 0 in `within`. Radii up to `threshold` are in focus; none is above
-    `max_scale`. A mask is counted where it says something and the map is sure.
+    `max_scale`. A mask is counted where it says something.
 
     Examples
     --------
@@ -159,8 +159,8 @@ def count_pixels(
         _histogram(sure, CONFIDENCE_STEP, round(1 / CONFIDENCE_STEP) + 1),
         in_focus=int((known & (radius <= threshold)).sum()),
         sure=int(known.sum()),
-        in_mask=int((known & (said == 1)).sum()),
-        judged=int((known & (said != UNKNOWN)).sum()),
+        in_mask=int((said == 1).sum()),
+        judged=int((said != UNKNOWN).sum()),
     )
 
 

@@ -94,12 +94,13 @@ def map_facts(found: Measurement, min_confidence: float = 0.0) -> dict[str, Any]
 
 
 def mask_facts(
+    mask: NDArray[Any],
     judged: NDArray[Any],
     asked: MaskSettings,
     used: MaskSettings,
     within: NDArray[Any] | None = None,
 ) -> dict[str, Any]:
-    """Return what is told about a mask in which is left what is not known.
+    """Return what is told about a mask, and about the same with what is not known left in it.
 
     `asked` and `used` are its settings before and after the picture said its threshold.
     """
@@ -110,11 +111,14 @@ def mask_facts(
     known, tau = float((counting != UNKNOWN).mean()), threshold_in_px(used)
     found = tau if asked.threshold == AUTO else None
     share = float((counting == 1).sum() / (counting != UNKNOWN).sum()) if known else None
+    shown = mask if within is None else mask[within]
+    white, said = int((shown == 1).sum()), int((shown != UNKNOWN).sum())
     remarks = mask_remarks(share, known, unknown=used.unknown, threshold_found=found)
     return {
         "threshold_px": tau,
         "threshold_found": found is not None,
         "in_focus_percent": None if share is None else 100.0 * share,
+        "mask_percent": 100.0 * white / said if said else None,
         "known_percent": 100.0 * float((judged != UNKNOWN).mean()),
         "mask_remarks": list(remarks),
     }
@@ -146,8 +150,8 @@ def _mask_lines(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"in focus     not known anywhere, blur up to {facts['threshold_px']:.4g} px"
         return
     yield (
-        f"in focus     {share:.1f} % of what is known ({known:.1f} % of the picture), "
-        f"blur up to {facts['threshold_px']:.4g} px{found}"
+        f"in focus     {facts['mask_percent']:.1f} % of the mask, {share:.1f} % of what is known "
+        f"({known:.1f} % of the picture); blur up to {facts['threshold_px']:.4g} px{found}"
     )
 
 

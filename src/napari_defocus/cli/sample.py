@@ -110,7 +110,7 @@ def demonstrate(
         contents = encoded_maps(outputs[:2], outputs[2:3], found, settings)
         files.write(contents | encoded_masks(outputs[3:4], outputs[4:], picture, mask))
     facts = picture_facts(Path("dandelion.jpg"), picture, outputs, found, settings)
-    return facts | map_facts(found) | mask_facts(judged, mask_settings, used)
+    return facts | map_facts(found) | mask_facts(mask, judged, mask_settings, used)
 
 
 @contextmanager

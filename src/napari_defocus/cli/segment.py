@@ -115,7 +115,7 @@ def segment_picture(
 
         contents[alpha] = alpha_png(picture, napari_defocus.matte_in_focus(picture, mask), limits)
     facts = picture_facts(image, picture, outputs, candidates, settings)
-    facts |= mask_facts(judged, mask_settings, used, where)
+    facts |= mask_facts(mask, judged, mask_settings, used, where)
     facts["within"] = within and str(within)
     facts["seeds"] = None if known is None else {"file": str(seeds)} | _seeds_facts(known)
     if regions:

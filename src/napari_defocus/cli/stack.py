@@ -67,7 +67,7 @@ def _sharpest_planes(shares: Sequence[float]) -> str:
         Planes of one scene at equal steps of the focus: a TIFF stack (also OME-TIFF, .lsm, .stk),
         OME-Zarr, CZI, ND2 and LIF with the extra microscopes, a folder of pictures, or several
         pictures. Pictures are planes in the natural order of their names: slice2 comes before
-        slice10.
+        slice10, and z-0.7um before z+0.1um.
     scene NUMBER
         Which scene of a CZI, ND2 or LIF file to take, from 0; needed if STACK has several.
     channel NUMBER

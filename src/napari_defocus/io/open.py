@@ -16,7 +16,7 @@ from napari_defocus.io.file_kinds import is_raw, microscope_format
 from napari_defocus.io.lazy_arrays import lazy_array
 from napari_defocus.io.microscope_files import open_microscope_file
 from napari_defocus.io.ome_zarr import RGB_COLORS, is_zarr, read_ome_zarr
-from napari_defocus.io.picture_files import Inputs, as_paths, find_sources, naturally
+from napari_defocus.io.picture_files import Inputs, as_paths, find_sources, in_stack_order
 from napari_defocus.io.pictures import (
     UnreadablePicture,
     is_tiff,
@@ -209,7 +209,7 @@ def open_stack(inputs: Inputs, scene: int | None = None) -> Source:
     """
     need_large_extra()
     given = as_paths(inputs)
-    files = sorted(find_sources(given), key=naturally)
+    files = in_stack_order(find_sources(given))
     if len(given) == 1 and files == given:
         return _one_scene(open_source(given[0], scene))
     if not files:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from napari_defocus.core.extras import is_there
 from napari_defocus.io.ome_zarr import is_zarr
@@ -227,6 +228,28 @@ def _entries(folder: Path) -> list[Path]:
 def _folders(folder: Path) -> list[Path]:
     entries = _entries(folder) if folder.is_dir() else []
     return [e for e in entries if e.is_dir() and not e.is_symlink() and not is_zarr(e)]
+
+
+def in_stack_order(paths: Iterable[Path]) -> list[Path]:
+    """Return the planes of a stack in the natural order of their names.
+
+    If a name has a number with a plus, signs count: z-0.7um comes before z-0.1um and z+0.1um.
+
+    Examples
+    --------
+    >>> [path.name for path in in_stack_order(map(Path, ("z+0.1", "z+0.0", "z-0.1", "z-0.2")))]
+    ['z-0.2', 'z-0.1', 'z+0.0', 'z+0.1']
+    """
+    planes = list(paths)
+    if not any(re.search(r"\+\d", path.name) for path in planes):
+        return sorted(planes, key=naturally)
+
+    def signed(path: Path) -> tuple[Any, ...]:
+        words = re.split(r"([+-]?\d+(?:\.\d+)?)", path.name.lower())
+        numbers = [(float(word), "") if at % 2 else (0.0, word) for at, word in enumerate(words)]
+        return naturally(path.parent), numbers, path.name
+
+    return sorted(planes, key=signed)
 
 
 def naturally(path: Path) -> list[tuple[list[tuple[int, str]], str]]:

@@ -42,9 +42,9 @@ def test_the_first_lines_say_how_blurred_it_is_and_how_much_is_in_focus(plane):
     assert said_of(plane, mask)[1] == "In focus: 50% of what is known (blur up to 2.5 px)"
 
 
-def test_what_is_filled_from_around_is_not_counted_but_told(plane):
+def test_what_is_filled_from_around_is_told(plane):
     said = said_of(plane, np.ones(SHAPE, np.uint8), known=30)
-    assert said[1] == "In focus: 100% of what is known (blur up to 2.5 px)"
+    assert said[1] == "In focus: 100% of the picture (blur up to 2.5 px)"
     assert said[2].startswith("The blur is not known on 75 % of the picture: the mask is filled")
 
 

@@ -40,12 +40,12 @@ def measured(viewer, opened, finish, method, texture):
 
 def test_threshold_changes_the_mask_alone(viewer, measured, settled, method):
     assert viewer.layers["leaf in focus"].data.max() == 0
-    assert "In focus: 0% of what is known (blur up to 2 px)" in measured.status.value
+    assert "In focus: 0% of the picture (blur up to 2 px)" in measured.status.value
     measured.settings.threshold.value = 3.0
     settled(measured)
     assert viewer.layers["leaf in focus"].data.min() == 1
     assert measured.status.value.startswith("Blur: median 2.5 px")
-    assert "In focus: 100% of what is known (blur up to 3 px)" in measured.status.value
+    assert "In focus: 100% of the picture (blur up to 3 px)" in measured.status.value
     assert [call["threshold"] for call in method.segmentations] == [2.0, 3.0]
     assert len(method.labelings) == len(method.estimations) == 1
 

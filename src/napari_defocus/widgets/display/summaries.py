@@ -86,8 +86,9 @@ def _found_lines(
         yield _defocus_line(some[DEFOCUS][judged], of_plane[DEFOCUS][1])
     if IN_FOCUS in some:
         known = some[IN_FOCUS][judged] != UNKNOWN
-        if confidence is not None and confidence.shape == tuple(plane.shape):
-            known &= confidence[::step, ::step][judged] >= CONFIDENT
+        if confidence is not None and confidence.size == np.prod(plane.shape):
+            of_some = confidence.reshape(plane.shape)[::step, ::step]
+            known &= of_some[judged] >= CONFIDENT
         yield from _focus_lines(some[IN_FOCUS][judged], known, of_plane[IN_FOCUS][1], plane)
 
 
@@ -95,13 +96,14 @@ def _focus_lines(
     mask: NDArray[np.integer], known: NDArray[np.bool_], keywords: dict[str, Any], plane: Plane
 ) -> Iterator[str]:
     """Say how much is in focus, of what is known, and why that may be less than it seems."""
-    if not known.any():
+    said = mask != UNKNOWN
+    if not said.any():
         return
     made = keywords["metadata"][METADATA_KEY]
     threshold, unknown = (made["settings"][name] for name in ("threshold", "unknown"))
     whole = "the part" if plane.is_part or plane.inside is not None else "the picture"
-    of = whole if known.all() else "what is known"
-    share = float((mask[known] == 1).mean())
+    of = whole if said.all() else "what is known"
+    share = float((mask[said] == 1).mean())
     yield f"In focus: {share:.0%} of {of} (blur up to {threshold:g} px)"
     found = threshold if made.get(THRESHOLD_FOUND) else None
     yield from mask_remarks(share, float(known.mean()), unknown=unknown, threshold_found=found)
