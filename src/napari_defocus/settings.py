@@ -153,8 +153,9 @@ class MaskSettings:
     color_sigma : float
         sigma_lambda of (16) for the mask, as a share of the picture's contrast.
     unknown : {"fill", "leave"}
-        What becomes of places without an answer of their own, because they have no texture or
-        their confidence is below 0.5: filled from around, or left, as 2 in the mask.
+        What becomes of places without an answer of their own, because the likeliest radius of
+        their surroundings has a confidence below 0.5: filled from around, or left, as 2 in the
+        mask. The confidence of a map is another one, that of what the map says there.
     """
 
     threshold: float | Literal["auto"] = "auto"

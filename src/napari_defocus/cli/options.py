@@ -126,8 +126,8 @@ threshold PX|auto
     Largest blur radius that counts as in focus, in px; auto finds it from the picture, or from the
     planes of a stack, and says it.
 unknown
-    What becomes of places that say nothing themselves, without texture or of a confidence below
-    0.5: they are filled from around, or left, grey in the mask.
+    What becomes of places whose own surroundings tell no radius, such as those without texture:
+    they are filled from around, or left, grey in the mask.
 tv_weight NUMBER
     How smooth the picture in focus is: large for less noise, small for more detail. If left out, it
     follows from the noise, and from how badly the picture fits its map.

@@ -317,7 +317,7 @@ def _leave_unknown_field() -> CheckBox:
         name="leave_unknown",
         text="leave what is not known",
         value=MaskSettings.unknown == "leave",
-        tooltip="Places without texture, or of a confidence below 0.5, say nothing of focus. They "
+        tooltip="Places whose own surroundings tell no radius say nothing of focus. They "
         "are filled from around, or left, grey, as a third label (2).",
     )
 
