@@ -13,7 +13,7 @@ import zarr
 from PIL import Image
 
 from napari_defocus.io.ome_zarr_writer import new_ome_zarr
-from napari_defocus.io.open import find_sources, open_source
+from napari_defocus.io.open import find_sources, open_source, open_stack
 from napari_defocus.io.pictures import UnreadablePicture, read_picture
 
 MICRON, SECOND = "micrometer", "second"
@@ -425,6 +425,21 @@ def found(folder, *inputs):
 def test_folder_is_its_pictures_in_natural_order(folder):
     assert found(folder, ".") == ["img1.tif", "img9.png", "img10.PNG"]
     assert found(folder, "deep") == ["deep/a.jpg", "deep/slide.zarr"]
+
+
+@pytest.mark.parametrize(
+    ("names", "order"),
+    [
+        (["z+0.0um", "z+0.1um", "z+0.7um", "z-0.1um", "z-0.7um"], [4, 3, 0, 1, 2]),
+        (["plane-1", "plane-10", "plane-2"], [0, 2, 1]),
+    ],
+)
+def test_signs_order_the_planes_of_a_stack_if_some_are_plus(tmp_path, names, order):
+    for value, name in enumerate(names):
+        picture = np.full((12, 16), value, np.uint8)
+        Image.fromarray(picture).save(tmp_path / f"{name}.png")
+    planes = open_stack(tmp_path).data[:, 0, 0].compute()
+    assert planes.tolist() == order
 
 
 def test_patterns_are_expanded_here(folder):

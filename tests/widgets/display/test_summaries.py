@@ -48,6 +48,19 @@ def test_what_is_filled_from_around_is_told(plane):
     assert said[2].startswith("The blur is not known on 75 % of the picture: the mask is filled")
 
 
+def test_of_a_stack_what_is_filled_from_around_is_told_too(viewer):
+    stack = np.random.default_rng(0).random((3, *SHAPE))
+    plane = shown_plane(viewer.add_image(stack, name="worm"), viewer.dims)
+    blur = blur_map_layer(plane, np.ones(SHAPE, np.float32), settings.MapSettings(), 1e-5)
+    mask = in_focus_layer(
+        *(plane, np.ones(SHAPE, np.uint8), settings.MaskSettings(threshold=2.5)),
+        *(settings.MapSettings(), 1e-5),
+    )
+    confidence = (np.arange(SHAPE[1]) < 30) * np.ones((1, *SHAPE), np.float32)
+    said = summary_of([blur, mask], confidence, Picture.of(plane)).splitlines()
+    assert any(line.startswith("The blur is not known on 75 % of the picture") for line in said)
+
+
 def test_noise_that_grows_towards_the_corners_is_told(plane):
     layer = blur_map_layer(plane, np.ones(SHAPE, np.float32), settings.MapSettings(), 3e-5)
     (layer,) = say_noise_growth([layer], 1.3)
