@@ -1,6 +1,7 @@
 """The terminal command for stacks through focus."""
 
 import json
+import re
 
 import imagecodecs
 import numpy as np
@@ -315,6 +316,8 @@ def test_folder_of_pictures_is_a_stack_in_natural_order(
     assert result.exit_code == 0, result.output
     assert "slices, 7 planes of 60 x 50 px\n" in result.stdout
     assert f"pictures     from slice5{ending} to slice11{ending}\n" in result.stdout
+    number, slice_number = re.search(r"plane (\d) \(\d+%\), slice(\d+)", result.stdout).groups()
+    assert int(slice_number) == int(number) + 5
     np.testing.assert_array_equal(tifffile.imread("slices-sharpest.tif"), expected)
     shuffled = sorted(paths, key=lambda path: path.name)
     result = run("sharpest", *shuffled, "--px-per-plane", 1, "--json")

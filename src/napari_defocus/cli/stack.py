@@ -45,7 +45,7 @@ def _lines(facts: Facts) -> Iterator[str]:
         yield "blur         not found: too little texture to see it grow from plane to plane"
     else:
         yield f"blur         grows by {facts['px_per_plane']:.2f} px from plane to plane"
-    yield _sharpest_planes(facts["share_of_plane"])
+    yield _sharpest_planes(facts["share_of_plane"], facts["pictures"])
     yield from _height_lines(facts)
     yield (
         f"confidence   {CONFIDENT:g} or more on {facts['confident_percent']:.1f} % of the picture"
@@ -53,10 +53,12 @@ def _lines(facts: Facts) -> Iterator[str]:
     yield from last_lines(facts)
 
 
-def _sharpest_planes(shares: Sequence[float]) -> str:
-    """Say where the plane that is the sharpest on most pixels is, and those that come next."""
+def _sharpest_planes(shares: Sequence[float], names: Sequence[str] | None) -> str:
+    """Say which plane is the sharpest on most pixels, by its picture's name too, and the next."""
     order = sorted(range(len(shares)), key=lambda plane: -shares[plane])
     best, *others = (f"{plane} ({shares[plane]:.0%})" for plane in order[:_PLANES_TOLD])
+    if names:
+        best = f"{best}, {names[order[0]]}"
     return f"sharpest     on most pixels: plane {best}; then {', '.join(others)} (counted from 0)"
 
 
