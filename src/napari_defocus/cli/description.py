@@ -178,16 +178,17 @@ def lines_of(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"             variance {read:.2g} + {gain:.2g} x {light}"
     if facts.get("map"):
         yield f"map          {facts['map']}"
+    # Where nothing is known, a median would look like something that was measured.
+    unknown = facts.get("confident_percent") == 0
     if "blur_median_px" in facts:
         low, high = facts["blur_p5_px"], facts["blur_p95_px"]
-        # Where nothing is known, a median would look like something that was measured.
-        unknown = facts.get("confident_percent") == 0
         yield (
             f"blur         {'not known anywhere; the map says: ' if unknown else ''}"
             f"median {facts['blur_median_px']:.1f} px, "
             f"5 to 95 % of the picture: {low:.1f} to {high:.1f} px"
         )
-    yield from defocus_lines(facts)
+    if not unknown:
+        yield from defocus_lines(facts)
     if "confidence_median" in facts:
         yield (
             f"confidence   median {facts['confidence_median']:.2f}, {CONFIDENT:g} or more on "
