@@ -73,6 +73,17 @@ def test_json_tells_the_planes_and_given_px_are_used(stack):
     assert_fails_in_one_line(run("sharpest", stack, "-o", output), saying="--force overwrites it")
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_png_holds_numbers_of_either_byte_order(tmp_path, planes, order):
+    path = tmp_path / "worm.tif"
+    tifffile.imwrite(path, planes[:, :50, :60], byteorder=order, metadata={"axes": "ZYX"})
+    found = run("sharpest", path, "--px-per-plane", 1, "-o", tmp_path / "worm.png")
+    assert found.exit_code == 0, found.output
+    expected = napari_defocus.sharpest_plane(planes[:, :50, :60], axes="zyx", px_per_plane=1)
+    with Image.open(tmp_path / "worm.png") as png:
+        np.testing.assert_array_equal(np.asarray(png), expected.composite)
+
+
 def test_png_does_not_take_numbers_that_it_cannot_hold(tmp_path, planes):
     path = tmp_path / "worm.tif"
     tifffile.imwrite(path, planes[:, :50, :60].astype(np.float32), metadata={"axes": "ZYX"})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import warnings
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import typer
 import typer.core
@@ -64,21 +64,22 @@ def _program(
     """Measure the defocus blur of one picture: how many pixels wide, and what is in focus."""
 
 
+_OF_MANY = {"map": "batch", "segment": "batch --mask", "restore": "batch --restore"}
+"""What does for many pictures what a command does for one."""
+
+
 class _OnePicture(typer.core.TyperCommand):
     """A command that takes one picture, and says which command takes many."""
-
-    _OF_MANY: ClassVar = {"map": "batch", "segment": "batch --mask", "restore": "batch --restore"}
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         try:
             return super().parse_args(ctx, args)
         except Exception as error:  # a UsageError; whose, depends on typer's version
             message: str | None = getattr(error, "message", None)
-            many = self._OF_MANY.get(self.name or "")
-            if message and many and "unexpected extra argument" in message:
+            if message and "unexpected extra argument" in message:
                 vars(error)["message"] = (
                     f"{message}. {self.name} takes one picture; for many there is "
-                    f"napari-defocus {many} PICTURES -o FOLDER"
+                    f"napari-defocus {_OF_MANY[str(self.name)]} PICTURES -o FOLDER"
                 )
             raise
 
@@ -98,4 +99,4 @@ for _name, _command in {
     "calibrate": calibrate,
     "compare-psf": compare,
 }.items():
-    app.command(_name, cls=_OnePicture)(_command)
+    app.command(_name, cls=_OnePicture if _name in _OF_MANY else None)(_command)

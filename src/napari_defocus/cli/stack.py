@@ -168,10 +168,10 @@ def sharpest(
         check_endings([save_alignment], ".json")
     given = _given_alignment(use_alignment, align)
     source = open_stack(stack, scene)
-    if output is not None and _is_png(output) and source.data.dtype not in ("uint8", "uint16"):
+    dtype = source.data.dtype
+    if output is not None and _is_png(output) and (dtype.kind != "u" or dtype.itemsize > 2):
         raise ValueError(
-            f"output is {output}, but {source.path} holds {source.data.dtype}; PNG takes 8 or 16 "
-            "bit, .tif any"
+            f"output is {output}, but {source.path} holds {dtype}; PNG takes 8 or 16 bit, .tif any"
         )
     if all_channels is not None and "c" not in source.axes:
         raise ValueError(f"--all-channels: {source.path} has no channels")

@@ -125,10 +125,11 @@ def picture_png(picture: ArrayLike, source: ArrayLike, quantity: str = ALL_IN_FO
 
 
 def lossless_png(picture: NDArray[Any], quantity: str) -> bytes:
-    """Encode a picture of 8 or 16 bit, (H, W[, 3]), as it is, as a PNG file with its quantity."""
+    """Encode (H, W[, 3 or 4]) uint8 or uint16 as they are, as a PNG file that says its quantity."""
     import imagecodecs
 
-    return marked_png(bytes(imagecodecs.png_encode(np.ascontiguousarray(picture))), quantity)
+    native = np.ascontiguousarray(picture, picture.dtype.newbyteorder("="))
+    return marked_png(bytes(imagecodecs.png_encode(native)), quantity)
 
 
 def _transparent_unknown(picture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -42,7 +42,7 @@ class White:
     @property
     def level(self) -> float:
         """What is known so far; infinity if nothing was clipped."""
-        return self._largest if self._is_clipped else self._most
+        return self._largest if self._is_clipped or self._largest >= self._most else np.inf
 
     def see(self, plane: NDArray[Any]) -> None:
         """Look at a plane, (H, W) or (H, W, C), as the camera gave it."""
